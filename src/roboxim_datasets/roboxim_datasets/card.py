@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_core.config import to_plain
+from roboxim_datasets.account import Account, lines, to_json
 from roboxim_datasets.dataset import EXPORT_FILE, Dataset
+from roboxim_datasets.files import reading
 from roboxim_datasets.view import contact_sheet, encoded
 
 CARD_FILE = "README.md"
@@ -29,11 +31,13 @@ class Counts:
     steps: Mapping[str, int]
     """Split to number of steps."""
     instructions: Mapping[str, int]
-    """Instruction to number of episodes, most frequent first."""
+    """Instruction to number of episodes that have it in a step, most frequent first."""
     skills: Mapping[str, int] = field(default_factory=dict)
     """Skill to number of episodes, as far as the episodes state it."""
     successes: int
     """Number of episodes that solved their task at the end."""
+    outcomes: int
+    """Number of episodes of which the dataset says whether they did."""
     shortest: int
     """Length of the shortest episode [steps]."""
     longest: int
@@ -49,24 +53,68 @@ def count(dataset: Dataset) -> Counts:
     steps: Counter[str] = Counter()
     instructions: Counter[str] = Counter()
     skills: Counter[str] = Counter()
-    lengths, successes = [], 0
+    lengths, outcomes = [], []
     for split, episodes in dataset.splits.items():
         for index in range(episodes):
-            episode = dataset.read(split, index)
+            with reading(f"{dataset.path}, {split}[{index}]"):
+                episode = dataset.read(split, index)
             steps[split] += episode.length
-            instructions[episode.instruction] += 1
+            instructions.update(episode.instructions or [episode.instruction])
             skills.update([str(episode.metadata["skill"])] if "skill" in episode.metadata else [])
-            successes += episode.success
+            outcomes += [] if episode.success is None else [episode.success]
             lengths.append(episode.length)
     return Counts(
         steps=dict(steps), instructions=dict(instructions.most_common()), skills=dict(skills.most_common()),
-        successes=successes, shortest=min(lengths, default=0), longest=max(lengths, default=0),
+        successes=sum(outcomes), outcomes=len(outcomes),
+        shortest=min(lengths, default=0), longest=max(lengths, default=0),
     )  # fmt: skip
 
 
 def summary(dataset: Dataset, counts: Counts) -> str:
-    """Return a few lines that describe a dataset."""
-    return "\n".join(f"{name:<10}{value}" for name, value in _rows(dataset, counts).items())
+    """Return a few lines that describe a dataset.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when it cannot be read.
+    """
+    with reading(dataset.path):
+        rows = [f"{name:<10}{value}" for name, value in _rows(dataset, counts).items()]
+        return "\n".join([*rows, *account_lines(dataset.account)])
+
+
+def account_lines(account: Account) -> list[str]:
+    """Return what a reader left out or changed, a line for each kind of thing."""
+    return [*lines("note", account.changed), *lines("left out", account.left_out)]
+
+
+def summary_json(dataset: Dataset, counts: Counts) -> dict[str, Any]:
+    """Return what describes a dataset as plain data, with the account of everything that its files hold."""
+    account = dataset.account
+    return {
+        "format": dataset.format,
+        "version": dataset.version,
+        "splits": dict(dataset.splits),
+        "episodes": len(dataset),
+        "steps": dict(counts.steps),
+        "solved": counts.successes,
+        "outcomes_stated": counts.outcomes,
+        "rate_hz": dataset.description.fps,
+        "instructions": dict(counts.instructions),
+        "cameras": {name: [size.height, size.width] for name, size in dataset.features.cameras.items()},
+        "vectors": {name: len(parts) for name, parts in dataset.features.vectors.items()},
+        "signals": {name: len(parts) for name, parts in dataset.features.signals.items()},
+        "action": list(dataset.features.action),
+        "read": to_json([part for part in account.parts if part.fate == "read"]),
+        "implied": to_json([part for part in account.parts if part.fate == "implied"]),
+        "left_out": to_json(account.left_out),
+    }
+
+
+def _solved(counts: Counts, episodes: int) -> str:
+    """Return how many episodes solved their tasks, as far as the dataset says it."""
+    if not counts.outcomes:
+        return "solved: unknown"
+    unknown = episodes - counts.outcomes
+    return f"{counts.successes} of {counts.outcomes} solved" + (f", {unknown} unknown" if unknown else "")
 
 
 def _rows(dataset: Dataset, counts: Counts) -> dict[str, str]:
@@ -81,8 +129,9 @@ def _rows(dataset: Dataset, counts: Counts) -> dict[str, str]:
         "format": f"{dataset.format} {dataset.version}".rstrip(),
         "folder": str(dataset.path),
         "episodes": ", ".join(f"{count} {split}" for split, count in dataset.splits.items())
-        + f"; {counts.successes} of {len(dataset)} solved",
-        "steps": f"{sum(counts.steps.values())}, {counts.shortest} to {counts.longest} an episode, {about.fps:g} Hz",
+        + f"; {_solved(counts, len(dataset))}",
+        "steps": f"{sum(counts.steps.values())}, {counts.shortest} to {counts.longest} an episode, "
+        + (f"{about.fps:g} Hz" if about.fps else "rate not stated"),
         "robot": about.robot or "not stated",
         "cameras": f"{cameras or 'none'} ({kind})",
         "actions": f"{len(features.action)}: {', '.join(features.action)} ({meaning})",
@@ -132,7 +181,15 @@ def card(dataset: Dataset, counts: Counts) -> str:
     Args:
         dataset: The dataset.
         counts: Its counts.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when the dataset cannot be read.
     """
+    with reading(dataset.path):
+        return _card(dataset, counts)
+
+
+def _card(dataset: Dataset, counts: Counts) -> str:
     parts = [
         _head(dataset, counts),
         f"# {_title(dataset, counts)}\n\n{dataset.description.text or _sentence(dataset)}\n",
@@ -144,6 +201,7 @@ def card(dataset: Dataset, counts: Counts) -> str:
         _vectors(dataset),
         _statistics(dataset),
         _counts_section(dataset, counts),
+        _not_read(dataset),
         _how(dataset),
         _LICENCE + (_RENDERED if _simulated(dataset.facts) else ""),
     ]
@@ -257,8 +315,17 @@ def _counts_section(dataset: Dataset, counts: Counts) -> str:
     return text
 
 
+def _not_read(dataset: Dataset) -> str:
+    """Return what the sources of a converted dataset had that it does not have."""
+    missing = dataset.facts.get("not_read", [])
+    rows = [
+        (f"{item.get('kind')} `{item.get('name')}`", str(item.get("count")), str(item.get("why"))) for item in missing
+    ]
+    return "## Left out of the sources\n\n" + _table(("part", "number", "why"), rows) if rows else ""
+
+
 def _how(dataset: Dataset) -> str:
-    facts = {key: value for key, value in dataset.facts.items() if key != "cells"}
+    facts = {key: value for key, value in dataset.facts.items() if key not in ("cells", "not_read")}
     if not facts:
         return ""
     said = json.dumps(facts, indent=2, sort_keys=True)

@@ -188,7 +188,7 @@ def _compare_episode(
         ("length", a.length, b.length),
         ("instruction", a.instruction, b.instruction),
         ("episode id", a.episode_id, b.episode_id),
-        ("success", a.success, b.success),
+        ("success", _outcome(a), _outcome(b)),
     ):
         if one != other and not (text == "episode id" and "" in (one, other)):
             found.add(f"{text}: {one!r} against {other!r}", where)
@@ -197,6 +197,10 @@ def _compare_episode(
     reported: set[str] = set()
     for one_step, other_step in zip(a.steps(names.cameras), b.steps(names.cameras), strict=False):
         found.steps += 1
+        spoken = [step.instruction or e.instruction for step, e in ((one_step, a), (other_step, b))]
+        if spoken[0] != spoken[1] and "instruction" not in reported and a.instruction == b.instruction:
+            reported.add("instruction")
+            found.add(f"instruction from step {one_step.index}: {spoken[0]!r} against {spoken[1]!r}", where)
         for name, mine, theirs in _numbers(one_step, other_step, names):
             if name not in reported and not same_bits(mine, theirs):
                 reported.add(name)
@@ -206,6 +210,10 @@ def _compare_episode(
             if problem and camera not in reported:
                 reported.add(camera)
                 found.add(f"camera '{camera}' from step {one_step.index}: {problem}", where)
+
+
+def _outcome(episode: Episode) -> bool | str:
+    return "unknown" if episode.success is None else episode.success
 
 
 def _numbers(a: Step, b: Step, names: _Names) -> Iterator[tuple[str, npt.ArrayLike, npt.ArrayLike]]:

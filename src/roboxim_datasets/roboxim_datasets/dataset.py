@@ -14,8 +14,10 @@ from typing import Any, Protocol, runtime_checkable
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.documents import read_json_object
-from roboxim_core.errors import ConfigError, InvalidRequestError, one_of
+from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError, one_of
+from roboxim_datasets.account import Account
 from roboxim_datasets.episode import EXECUTED, METADATA, OWN_FIELDS, Episode, ImageSize, MetaValue, Step, Wanted
+from roboxim_datasets.files import file_in
 
 EXPORT_FILE = "export.json"
 """File beside every dataset with the source and the settings of its export."""
@@ -68,6 +70,8 @@ class Description:
     """Skills of the episodes; empty: the dataset does not say."""
     parts: Mapping[str, Mapping[str, tuple[int, int]]] = field(default_factory=dict)
     """``state`` and ``action`` to names of ranges of their components (start, end), where a convention names them."""
+    outcomes: bool = True
+    """Whether every episode says if it solved its task; if not, what a dataset does not say stays unknown."""
     metadata: Mapping[str, type[MetaValue]] = field(default_factory=lambda: RECORDED)
     """Metadata that every episode has (`Episode.metadata`), key to type."""
 
@@ -76,28 +80,34 @@ class Description:
         *,
         length: int,
         instruction: str,
-        success: bool,
+        success: bool | None,
         said: Mapping[str, Any],
         read: Callable[[Wanted], Iterator[Step]],
+        instructions: Sequence[str] = (),
+        name: str = "",
     ) -> Episode:
         """Return an episode of such a dataset.
 
         Args:
             length: Number of steps.
             instruction: Instruction.
-            success: Whether the task was solved, as far as the format itself says it.
+            success: Whether the task was solved, as far as the format itself says it; None: it does not.
             said: What RoboXim's export says of the episode (``episode_id``, ``success``, ``metadata``); empty: it is
                 another's dataset.
             read: Reads the steps.
+            instructions: All instructions, if it has several.
+            name: Id of an episode of which no export says anything.
         """
         features = self.features
+        solved = said.get("success", success)
         return Episode(
-            episode_id=str(said.get("episode_id", "")),
+            episode_id=str(said.get("episode_id", name)),
             length=length,
             instruction=instruction,
+            instructions=tuple(instructions) if len(instructions) > 1 else (),
             semantics=self.semantics,
             cameras=features.cameras,
-            success=bool(said.get("success", success)),
+            success=None if solved is None else bool(solved),
             robot=self.robot,
             joint_names=self.joint_names,
             fps=self.fps,
@@ -219,11 +229,25 @@ class Dataset(ABC):
         return ""
 
     @cached_property
+    def account(self) -> Account:
+        """Everything that the dataset's files hold, and what became of it; this reads through the dataset.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED`` when it cannot be read.
+        """
+        account = Account()
+        self._take_stock(account)
+        return account
+
+    def _take_stock(self, account: Account) -> None:  # noqa: B027 - formats of others may have none
+        """Note what the files hold and what of it is read; a format that does not has an empty account."""
+
+    @cached_property
     def facts(self) -> dict[str, Any]:
         """How the dataset was made: the content of ``export.json``; empty if there is none."""
         try:
-            return read_json_object(self.folder / EXPORT_FILE)
-        except ConfigError:
+            return read_json_object(file_in(self.folder, EXPORT_FILE))
+        except (ConfigError, RecorderError):
             return {}
 
 

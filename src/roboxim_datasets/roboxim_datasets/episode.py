@@ -110,6 +110,8 @@ class Step:
     """Further vectors that no trainer reads, float32, shape (n,), by name; the names start with ``sim.``."""
     reward: float = 0.0
     """1 on the last step of a success, else 0."""
+    instruction: str | None = None
+    """Instruction of this step, where an episode has several; None: the episode's."""
     stamp_s: float | None = None
     """Time of the observation [s]; None: the format stores none. Writers do not take it, they count steps."""
 
@@ -132,6 +134,16 @@ class Step:
         return _one_of(self.signals, name)
 
 
+def solved(rewards: npt.ArrayLike) -> bool | None:
+    """Return whether rewards say that a task was solved; None: they do not say.
+
+    Only rewards that are 0 before the end and 1 at it are known to mean it. Rewards that are all 0 can be those of a
+    dataset that has none, and others are no verdict.
+    """
+    values = np.asarray(rewards, np.float64).reshape(-1)
+    return True if len(values) and values[-1] == 1 and np.isin(values, (0, 1)).all() else None
+
+
 def _one_of(vectors: Mapping[str, Floats], name: str) -> Floats:
     if name not in vectors:
         raise InvalidRequestError(
@@ -152,13 +164,15 @@ class Episode:
     length: int
     """Number of steps."""
     instruction: str
-    """Natural language instruction."""
+    """Natural language instruction; of an episode with several, that of its first step."""
+    instructions: tuple[str, ...] = ()
+    """All instructions of its steps in the order in which they first occur; empty: only ``instruction``."""
     semantics: ActionSemantics | None
     """Meaning of the actions; None: the dataset does not say."""
     cameras: Mapping[str, ImageSize]
     """Camera to the size of its images."""
-    success: bool
-    """Whether the task was solved at the end."""
+    success: bool | None
+    """Whether the task was solved at the end; None: the dataset does not say."""
     robot: str = ""
     """Id of the robot model; empty: the dataset does not say."""
     joint_names: tuple[str, ...] = ()
@@ -194,7 +208,8 @@ class Episode:
 
         Raises:
             InvalidRequestError: On a camera that the episode does not have, or that has no such images.
-            RecorderError: With code ``BAG_DAMAGED`` when it cannot be read, or has more or fewer steps than it says.
+            RecorderError: With code ``BAG_DAMAGED`` when it cannot be read, or has more or fewer steps than it says, or
+                an image or vector of another size.
         """
         chosen = tuple(self.cameras if cameras is None else cameras)
         self._require(chosen, self.cameras, "camera")
@@ -202,12 +217,31 @@ class Episode:
         self._require(segmentation, self.segmentation, "segmentation images of camera")
         count = 0
         for step in self.read(Wanted(cameras=chosen, depth=tuple(depth), segmentation=tuple(segmentation))):
+            self._require_sizes(step)
             yield step
             count += 1
         if count != self.length:
             raise RecorderError(
                 f"episode '{self.episode_id}' has {count} steps, expected {self.length}", ErrorCode.BAG_DAMAGED
             )
+
+    def _require_sizes(self, step: Step) -> None:
+        """Refuse a step whose images or vectors are not of the size that the episode says."""
+        for camera, image in step.images.items():
+            size = self.cameras[camera]
+            if image.shape != (size.height, size.width, 3):
+                raise self._wrong(step, f"camera '{camera}'", image.shape, (size.height, size.width, 3))
+        for vectors, described in ((step.proprio, self.vectors), (step.signals, self.signals)):
+            for name, values in vectors.items():
+                if name in described and values.shape != (len(described[name]),):
+                    raise self._wrong(step, f"'{name}'", values.shape, (len(described[name]),))
+
+    def _wrong(self, step: Step, what: str, found: tuple[int, ...], expected: tuple[int, ...]) -> RecorderError:
+        return RecorderError(
+            f"episode '{self.episode_id}', step {step.index}: {what} has the shape {found}, expected {expected} as in "
+            "the dataset's description; leave the episode out, or correct it",
+            ErrorCode.BAG_DAMAGED,
+        )
 
     def _require(self, names: Sequence[str], have: Iterable[str], what: str) -> None:
         for name in names:

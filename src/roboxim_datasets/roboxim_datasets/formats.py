@@ -7,6 +7,7 @@ from pathlib import Path
 from roboxim_core.errors import ConfigError
 from roboxim_datasets import hdf5, lerobot, rlds  # importing a format registers it
 from roboxim_datasets.dataset import Dataset
+from roboxim_datasets.files import reading
 from roboxim_datasets.registry import FORMATS, DatasetFormat
 
 __all__ = ["FORMATS", "DatasetFormat", "hdf5", "lerobot", "open_dataset", "rlds"]
@@ -29,7 +30,8 @@ def open_dataset(path: Path | str, *, format: str = "") -> Dataset:
     found = [(name, at) for name in ([format] if format else FORMATS) for at in FORMATS[name]().find(place)]
     if len(found) == 1:
         name, at = found[0]
-        return FORMATS[name]().open(at)
+        with reading(at):
+            return FORMATS[name]().open(at)
     raise ConfigError(_not_one(place, found, format))
 
 

@@ -8,22 +8,29 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.config import from_plain, to_json, to_plain
-from roboxim_core.documents import read_json_object
-from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError
+import numpy as np
+
+from roboxim_core.config import from_plain, to_plain
+from roboxim_core.config import to_json as config_json
+from roboxim_core.documents import read_json_object, read_text
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, printable
+from roboxim_datasets.account import Part, to_json
 from roboxim_datasets.build import only_build
 from roboxim_datasets.card import write_card
 from roboxim_datasets.dataset import EXPORT_FILE, SPLITS, Dataset, Description
-from roboxim_datasets.episode import METADATA, OWN_FIELDS, MetaValue
+from roboxim_datasets.episode import METADATA, OWN_FIELDS, Episode, MetaValue, Step, Wanted
+from roboxim_datasets.files import file_in, has_file, reading
 from roboxim_datasets.registry import FORMATS
 from roboxim_datasets.rlds.episodes import USUAL_KEYS
 
+_NAME = re.compile(r"[^./\\][^/\\]{0,99}")
 CONVENTION_FILE = "convention.yaml"
 Progress = Callable[[int, int], None]
 
@@ -54,6 +61,10 @@ class Written:
     """Split to number of episodes."""
     resumed: int
     """Episodes that an interrupted call had already written; all of them if the dataset was there."""
+    left_out: tuple[Part, ...] = ()
+    """What the sources have and the dataset does not."""
+    changed: tuple[Part, ...] = ()
+    """What was read of the sources but not bit for bit."""
 
 
 def plan_of(*datasets: Dataset) -> dict[str, list[Place]]:
@@ -110,6 +121,7 @@ def write_dataset(
     *,
     how: str,
     keep_keys: bool = False,
+    fps: float = 0.0,
     overwrite: bool = False,
     progress: Progress = lambda done, total: None,
 ) -> Written:
@@ -122,6 +134,7 @@ def write_dataset(
         options: Options of the format; None: the defaults.
         how: How it is made, e.g. ``convert``, for ``export.json``.
         keep_keys: Whether the images keep the keys that they have in the first dataset, which is of the same format.
+        fps: Steps per second of sources that do not say it; 0: unknown.
         overwrite: Whether an existing dataset is replaced when the new one is whole.
         progress: Called with the episodes done and their total.
 
@@ -138,12 +151,22 @@ def write_dataset(
         raise RecorderError("there are no episodes to write", ErrorCode.EXPORT_REFUSED)
     path = made.path(target, settings)
     _require_outside(path, sources)
-    description = common_description(sources, keep_keys=keep_keys)
-    identity = _identity(plan, sources, format, settings)
+    description = stated_rate(common_description(sources, keep_keys=keep_keys), fps, sources)
+    _require_names(description, plan)
+    left_out = [part for source in sources for part in source.account.left_out]
+    changed = tuple(part for source in sources for part in source.account.changed)
+    if not getattr(made, "maps", True):
+        description, more = _without_maps(description, plan, format)
+        left_out += more
+    identity = _identity(plan, sources, format, settings, fps)
     splits = {split: len(places) for split, places in plan.items() if places}
+    written = Written(path=path, splits=splits, resumed=sum(splits.values()), left_out=tuple(left_out), changed=changed)
     if not overwrite and _identity_of(path) == identity:
-        return Written(path=path, splits=splits, resumed=sum(splits.values()))
-    files = files_beside(sources, format=format, how=how, options=settings, identity=identity)
+        return written
+    files = files_beside(
+        sources, format=format, how=how, options=settings, identity=identity,
+        **({"not_read": to_json(left_out)} if left_out else {}),
+    )  # fmt: skip
     with (
         only_build(path),
         made.create(target, description, settings, identity=identity, overwrite=overwrite) as writer,
@@ -151,18 +174,91 @@ def write_dataset(
         order = sorted(splits, key=lambda name: (SPLITS.index(name) if name in SPLITS else len(SPLITS), name))
         skip = {split: writer.resumed(split) for split in order}
         done = resumed = sum(skip.values())
-        seen: set[str] = set()
+        seen: dict[str, Dataset] = {}
         for split in order:
             for number, place in enumerate(plan[split]):
-                episode = place.dataset.read(place.split, place.index)
+                where = f"{place.dataset.path}, {place.split}[{place.index}]"
+                with reading(where):
+                    episode = place.dataset.read(place.split, place.index)
                 _require_new(episode.episode_id, seen, place.dataset)
                 if number >= skip[split]:
-                    writer.add(split, episode)
+                    writer.add(split, _checked(episode, where))
                     done += 1
                     progress(done, sum(splits.values()))
         writer.complete(files)
     write_card(made.open(path))
-    return Written(path=path, splits=splits, resumed=resumed)
+    return replace(written, resumed=resumed)
+
+
+def stated_rate(description: Description, fps: float, sources: Sequence[Dataset]) -> Description:
+    """Return a description with the rate that the caller states, where the sources state none.
+
+    Raises:
+        InvalidRequestError: When the sources state another one, or it is none.
+    """
+    if not fps:
+        return description
+    if not (math.isfinite(fps) and fps > 0):
+        raise InvalidRequestError(f"fps must be a number of steps per second above 0, got {fps:g}")
+    if description.fps and description.fps != fps:
+        raise InvalidRequestError(
+            f"{sources[0].path} says that it has {description.fps:g} steps per second, not {fps:g}; leave --fps out"
+        )
+    return replace(description, fps=fps)
+
+
+def _require_names(description: Description, plan: Plan) -> None:
+    """Refuse names that cannot be parts of file names and keys: they come from whoever made the sources.
+
+    Raises:
+        RecorderError: ``EXPORT_REFUSED``, naming the first one.
+    """
+    features = description.features
+    names = [*plan, *features.cameras, *features.vectors, *features.signals]
+    wrong = [name for name in names if not (_NAME.fullmatch(name) and name.isprintable())]
+    if wrong:
+        raise RecorderError(
+            f"'{printable(wrong[0], 120)}' cannot be the name of a split, camera or vector of a new dataset: expected "
+            "1 to 100 printable characters without slash or leading dot; rename it in the source",
+            ErrorCode.EXPORT_REFUSED,
+        )
+
+
+def _without_maps(description: Description, plan: Plan, format: str) -> tuple[Description, list[Part]]:
+    """Return a description without images of depth and segmentation, and these as parts that are left out."""
+    features = description.features
+    frames = 0
+    if features.depth or features.segmentation:
+        frames = sum(p.dataset.read(p.split, p.index).length for places in plan.values() for p in places)
+    lost = [
+        Part(kind="key", name=f"{what} of camera {camera}", count=frames, fate="left out",
+             why=f"{format} holds colour images only")
+        for what, cameras in (("depth", features.depth), ("segmentation", features.segmentation))
+        for camera in cameras
+    ]  # fmt: skip
+    return replace(description, features=replace(features, depth=(), segmentation=())), lost
+
+
+def _checked(episode: Episode, where: str) -> Episode:
+    """Return an episode that names itself when it cannot be read or a number in it is not finite."""
+    read = episode.read
+
+    def steps(wanted: Wanted) -> Iterator[Step]:
+        with reading(where):
+            for step in read(wanted):
+                numbers = {"the action": step.action, "the reward": step.reward, **step.proprio, **step.signals}
+                if step.action_executed is not None:
+                    numbers["the executed action"] = step.action_executed
+                for name, values in numbers.items():
+                    if not np.isfinite(values).all():
+                        raise RecorderError(
+                            f"{where} '{episode.episode_id}': {name} is not a finite number at step {step.index}, got "
+                            f"{np.asarray(values).tolist()}; correct the episode or leave it out of the source",
+                            ErrorCode.BAG_DAMAGED,
+                        )
+                yield step
+
+    return replace(episode, read=steps)
 
 
 def files_beside(
@@ -230,9 +326,12 @@ def common_description(sources: Sequence[Dataset], *, keep_keys: bool = False) -
         keys = {camera: _neutral(camera, key) for camera, key in keys.items()}
         if len(set(keys.values())) < len(keys):
             keys = {camera: re.sub(r"[./]", "_", camera) for camera in keys}
-    text = first.text or f"{sum(map(len, sources))} episodes; robot: {first.robot or 'not stated'}; {first.fps:g} Hz."
+    rate = f"{first.fps:g} Hz" if first.fps else "rate not stated"
+    text = first.text or f"{sum(map(len, sources))} episodes; robot: {first.robot or 'not stated'}; {rate}."
     metadata = _metadata_kinds(sources)
-    return replace(first, features=replace(first.features, keys=keys), text=text, metadata=metadata)
+    outcomes = all(source.description.outcomes for source in sources)
+    features = replace(first.features, keys=keys)
+    return replace(first, features=features, text=text, metadata=metadata, outcomes=outcomes)
 
 
 def _neutral(camera: str, key: str) -> str:
@@ -269,8 +368,7 @@ def _common_convention(sources: Sequence[Dataset]) -> str:
 
 
 def _text_beside(source: Dataset, name: str) -> str:
-    file = source.folder / name
-    return file.read_text() if file.is_file() else ""
+    return read_text(file_in(source.folder, name)) if has_file(source.folder, name) else ""
 
 
 def _require_outside(path: Path, sources: Sequence[Dataset]) -> None:
@@ -284,18 +382,23 @@ def _require_outside(path: Path, sources: Sequence[Dataset]) -> None:
             )
 
 
-def _require_new(episode_id: str, seen: set[str], dataset: Dataset) -> None:
-    if episode_id and episode_id in seen:
+def _require_new(episode_id: str, seen: dict[str, Dataset], dataset: Dataset) -> None:
+    """Refuse an episode of RoboXim's that another source has too: datasets of one run overlap.
+
+    Others number episodes as they like, from 0 in every source file for example, so their ids may repeat.
+    """
+    other = seen.setdefault(episode_id, dataset)
+    own = "-" in episode_id and bool(dataset.facts) and bool(other.facts)
+    if own and other is not dataset:
         raise RecorderError(
             f"{dataset.path}: episode '{episode_id}' occurs twice; datasets of one run overlap, merge others",
             ErrorCode.EXPORT_REFUSED,
         )
-    seen.add(episode_id)
 
 
-def _identity(plan: Plan, sources: Sequence[Dataset], format: str, options: Any) -> str:
+def _identity(plan: Plan, sources: Sequence[Dataset], format: str, options: Any, fps: float) -> str:
     """Return a hash of everything that the written bytes depend on."""
-    found = hashlib.blake2b(f"{format} {to_json(options)}".encode(), digest_size=16)
+    found = hashlib.blake2b(f"{format} {config_json(options)}{f' {fps}' if fps else ''}".encode(), digest_size=16)
     numbers = {source: number for number, source in enumerate(sources)}
     for source in sources:
         found.update(fingerprint(source).encode())

@@ -91,13 +91,14 @@ def page(episode: Episode, action_names: Sequence[str], frames: int = 12) -> str
         "robot": episode.robot,
         **{name: str(value) for name, value in episode.metadata.items() if name != "task"},
     }
+    outcome = {None: "outcome not stated", True: "solved", False: "not solved"}[episode.success]
     rate = f" at {episode.fps:g} Hz" if episode.fps else ""
     environment = Environment(
         loader=PackageLoader("roboxim_datasets"), autoescape=True, undefined=StrictUndefined, keep_trailing_newline=True
     )
     return environment.get_template("episode.html").render(
         title=episode.instruction or episode.episode_id or "Episode",
-        lead=f"{episode.length} steps{rate}, {'solved' if episode.success else 'not solved'}",
+        lead=f"{episode.length} steps{rate}, {outcome}",
         cameras=_frames(episode, frames) if episode.cameras else {},
         vectors=vectors,
         facts={name: value for name, value in facts.items() if value},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 from pathlib import Path
 from typing import Any
 
@@ -53,13 +54,14 @@ class _Formats(click.Group):
         own = field_options(options)
         doc = (FORMATS[cmd_name].__doc__ or "").splitlines()[0]
 
-        def convert(source: Path, target: Path, overwrite: bool, **given: Any) -> None:
-            _convert(cmd_name, options(**given), source, target, overwrite)
+        def convert(source: Path, target: Path, overwrite: bool, fps: float, **given: Any) -> None:
+            _convert(cmd_name, options(**given), source, target, overwrite, fps)
 
         params: list[click.Parameter] = [
             click.Argument(["source"], type=_path),
             click.Argument(["target"], type=_path),
             *own,
+            click.Option(["--fps"], type=float, default=0.0, help="Steps per second of a source that does not say it."),
             click.Option(["--overwrite"], is_flag=True, help="Replace an existing dataset."),
         ]
         return click.Command(
@@ -76,14 +78,18 @@ def command() -> None:
 @command.command("info")
 @click.argument("dataset", type=_path)
 @click.option("--card", is_flag=True, help="Print the card (README.md) instead.")
-def info(dataset: Path, card: bool) -> None:
-    """Describe a dataset: format, episodes, cameras, meaning of the actions, tasks, origin."""
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, with everything that the files hold.")
+def info(dataset: Path, card: bool, as_json: bool) -> None:
+    """Describe a dataset: format, episodes, cameras, meaning of the actions, tasks, origin, and what is not read."""
     from roboxim_datasets import card as cards
     from roboxim_datasets.formats import open_dataset
 
     opened = open_dataset(dataset)
     counts = cards.count(opened)
-    click.echo(cards.card(opened, counts) if card else cards.summary(opened, counts))
+    if as_json:
+        click.echo(json.dumps(cards.summary_json(opened, counts), indent=2))
+    else:
+        click.echo(cards.card(opened, counts) if card else cards.summary(opened, counts))
 
 
 @command.command("diff")
@@ -121,12 +127,13 @@ def convert() -> None:
     """
 
 
-def _convert(name: str, options: Any, source: Path, target: Path, overwrite: bool) -> None:
+def _convert(name: str, options: Any, source: Path, target: Path, overwrite: bool, fps: float) -> None:
     from roboxim_bringup.printer import EventPrinter
     from roboxim_bringup.runs.datasets import convert_dataset
 
     with EventPrinter() as printer:
-        _print_written(convert_dataset(source, target, name, options, overwrite=overwrite, on_event=printer))
+        written = convert_dataset(source, target, name, options, fps=fps, overwrite=overwrite, on_event=printer)
+    _print_written(written)
 
 
 @command.command("merge")
@@ -199,5 +206,9 @@ def view(dataset: Path, episode: int, frames: int, out: Path | None) -> None:
 
 
 def _print_written(written: Any) -> None:
+    from roboxim_datasets.account import lines
+
     splits = ", ".join(f"{count} in {split}" for split, count in written.splits.items())
     click.echo(f"{written.path}: {splits}")
+    for line in (*lines("note", written.changed), *lines("left out", written.left_out)):
+        click.echo(line)

@@ -30,6 +30,7 @@ def convert_dataset(
     format: str,
     options: Any = None,
     *,
+    fps: float = 0.0,
     overwrite: bool = False,
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
@@ -41,6 +42,7 @@ def convert_dataset(
         target: Folder to write into.
         format: Registered name of the format.
         options: Options of the format; None: the defaults.
+        fps: Steps per second of a source that does not say it; 0: unknown.
         overwrite: Replace an existing dataset.
         on_event: Receives the run's events.
         cancellation: Ends the conversion when it is set.
@@ -53,7 +55,7 @@ def convert_dataset(
             cannot be read.
     """
     plan = plan_of(open_dataset(source))
-    return _write(plan, Path(target), format, options, "convert", overwrite, on_event, cancellation)
+    return _write(plan, Path(target), format, options, "convert", overwrite, on_event, cancellation, fps)
 
 
 def merge_datasets(
@@ -160,14 +162,14 @@ def compare_datasets(
 
 def _write(
     plan: Plan, target: Path, format: str, options: Any, how: str, overwrite: bool, on_event: OnEvent,
-    cancellation: Cancellation | None,
+    cancellation: Cancellation | None, fps: float = 0.0,
 ) -> Written:  # fmt: skip
     checked_path(target)
     with telling_interruption(on_event, lambda: "the same call or command continues it"):
         on_event(StageStarted(title=f"writing {format}", total=sum(map(len, plan.values())), unit="episodes"))
         written = write_dataset(
             plan, target, format, options, how=how, keep_keys=how != "convert", overwrite=overwrite,
-            progress=_progress(on_event, cancellation),
+            fps=fps, progress=_progress(on_event, cancellation),
         )  # fmt: skip
         on_event(StageFinished())
     return written

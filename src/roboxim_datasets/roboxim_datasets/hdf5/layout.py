@@ -17,6 +17,8 @@ STATISTICS_FILE = "dataset_statistics.json"
 """File beside it with the statistics of actions and vectors."""
 MASKS: Mapping[str, str] = {"train": "train", "val": "valid"}
 """Split to robomimic's name of its mask; other splits keep their names."""
+INSTRUCTIONS = "instruction_index"
+"""Number of each step's instruction in the episode's list, where it has several."""
 ATTRIBUTE = "roboxim"
 """Attribute of ``data`` and of each episode with facts that the layout has no place for, JSON."""
 
@@ -45,6 +47,8 @@ class Hdf5Content:
     """Name to the signal that it holds."""
     components: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Name of a vector, or ``actions``, to the names of its components; without them they are numbered."""
+    outcomes: bool = True
+    """Whether every episode says if it solved its task."""
     fps: float = 0.0
     """Steps per second; 0: unknown."""
     robot: str = ""
@@ -73,11 +77,11 @@ def content_of(description: Description) -> Hdf5Content:
     """Return where the parts of a dataset's episodes go."""
     features = description.features
     images = {f"obs/{_image_name(camera, features.keys[camera])}": camera for camera in features.cameras}
-    vectors = {f"obs/{name}": name for name in features.vectors}
+    vectors = {f"obs/{name.replace('/', '.')}": name for name in features.vectors}
     return Hdf5Content(
         cameras=images,
-        depth={f"obs/{camera}_depth": camera for camera in features.depth},
-        segmentation={f"obs/{camera}_segmentation": camera for camera in features.segmentation},
+        depth={f"obs/{camera.replace('/', '.')}_depth": camera for camera in features.depth},
+        segmentation={f"obs/{camera.replace('/', '.')}_segmentation": camera for camera in features.segmentation},
         vectors=vectors,
         signals={name: name for name in features.signals},
         components={
@@ -85,6 +89,7 @@ def content_of(description: Description) -> Hdf5Content:
             **{key: features.vectors[name] for key, name in vectors.items()},
             **features.signals,
         },
+        outcomes=description.outcomes,
         fps=description.fps,
         robot=description.robot,
         joint_names=description.joint_names,
@@ -94,4 +99,4 @@ def content_of(description: Description) -> Hdf5Content:
 
 def _image_name(camera: str, key: str) -> str:
     """Return the name of a camera's images: as robosuite calls them, unless the user chose another key."""
-    return f"{camera}_image" if key == USUAL_KEYS.get(camera, camera) else key.replace("/", "_")
+    return f"{camera.replace('/', '.')}_image" if key == USUAL_KEYS.get(camera, camera) else key.replace("/", "_")

@@ -1,8 +1,11 @@
-"""Reads HDF5 datasets in robomimic's layout, RoboXim's and others'."""
+"""Reads HDF5 datasets in robomimic's layout, RoboXim's and others'.
+
+RoboXim's files say where everything is. Of another's file the layout is what most of its episodes have
+(`roboxim_datasets.hdf5.others`); the account of the dataset names everything else.
+"""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -10,13 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from roboxim_core.documents import read_json_object
+from roboxim_core.documents import parse_json, read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
+from roboxim_datasets.account import Account
 from roboxim_datasets.dataset import Dataset, Description, Features
-from roboxim_datasets.episode import EXECUTED, Episode, Floats, ImageSize, Step, Wanted
-from roboxim_datasets.hdf5.layout import ATTRIBUTE, MASKS, STATISTICS_FILE, Hdf5Content
+from roboxim_datasets.episode import EXECUTED, Episode, ImageSize, Step, Wanted, solved
+from roboxim_datasets.files import file_in, has_file, reading
+from roboxim_datasets.hdf5.layout import ATTRIBUTE, INSTRUCTIONS, MASKS, STATISTICS_FILE, Hdf5Content
+from roboxim_datasets.hdf5.others import Array, arrays, changed, finite_rate, layout_of, reason_not_read
+from roboxim_datasets.hdf5.tree import attributes, leaves, numbers, opened, problem_of, require_no_external_links
+from roboxim_datasets.hdf5.tree import text_of as _text
 
 _SPLITS = {mask: split for split, mask in MASKS.items()}
+_ORDER = ("train", "val", "test")
+_REPEATED = {"dones": "the last step of an episode", "num_samples": "the number of actions"}
+_READ_ATTRIBUTES = ("ep_meta", "instruction", "success", ATTRIBUTE)
 
 
 _LOADING = """```python
@@ -48,47 +59,92 @@ class Hdf5Dataset(Dataset):
         if len(files) != 1:
             raise RecorderError(f"{path} holds {len(files)} HDF5 files, expected one; name the file")
         super().__init__(path)
-        self.file = files[0]
-        with self._open() as file:
-            if "data" not in file or not len(file["data"]):
+        self.file = files[0].resolve() if path.is_file() else files[0]  # a link that the user names is the user's
+        with opened(self.file) as file, reading(self.file):
+            require_no_external_links(file, self.file)
+            data = file.get("data")
+            if not _is_group(data) or not len(data):
                 raise RecorderError(f"{self.file} has no episodes 'data/demo_0', ...; it is of another layout")
-            data = file["data"]
-            self._attributes = {name: _text(value) for name, value in data.attrs.items()}
-            self._demos = _demos(file)
-            first = data[next(demo for demos in self._demos.values() for demo in demos)]
-            self.content = self._content(first)
+            self._attributes = attributes(data)
+            self._names_of_demos = sorted((name for name in data), key=lambda name: (len(name), name))
+            self._unread: dict[str, str] = {}  # episode to why it is not read
+            if ATTRIBUTE in self._attributes:
+                self.content = self._own_content()
+                first = leaves(data[self._names_of_demos[0]])
+                keys = (*self.content.cameras, *self.content.vectors, *self.content.signals, "actions")
+                self._shapes = {key: tuple(_array(first, key, self.file).shape[1:]) for key in keys}
+            else:
+                first = self._look_at_all(data)
             self._compression = next((first[key].compression for key in self.content.cameras), None)
-            self._shapes = {key: tuple(first[key].shape[1:]) for key in self._keys(first)}
+            self._masks = _masks(file)
+        self._demos, self._lost_splits = self._split()
 
-    def _open(self) -> Any:
-        import h5py
-
+    def _own_content(self) -> Hdf5Content:
         try:
-            return h5py.File(self.file, "r")
-        except OSError as error:
-            raise RecorderError(f"cannot read {self.file}: {error}", ErrorCode.BAG_DAMAGED) from None
+            said = parse_json(self._attributes[ATTRIBUTE], source=str(self.file))
+            return Hdf5Content.from_json(said, str(self.file))
+        except (ValueError, TypeError, ConfigError) as error:
+            raise RecorderError(f"{self.file}: its description is damaged: {error}", ErrorCode.BAG_DAMAGED) from None
 
-    def _content(self, demo: Any) -> Hdf5Content:
-        if ATTRIBUTE in self._attributes:
-            try:
-                return Hdf5Content.from_json(json.loads(self._attributes[ATTRIBUTE]), str(self.file))
-            except (ValueError, ConfigError) as error:
-                raise RecorderError(
-                    f"{self.file}: its description is damaged: {error}", ErrorCode.BAG_DAMAGED
-                ) from None
-        if "actions" not in demo:
-            raise RecorderError(f"{self.file}: its episodes have no 'actions'; it is of another layout")
-        observed = {f"obs/{name}": values for name, values in demo.get("obs", {}).items()}
-        images = [key for key, values in observed.items() if values.ndim == 4 and values.dtype == np.uint8]
-        return Hdf5Content(
-            cameras={key: key.removeprefix("obs/").removesuffix("_image").removesuffix("_rgb") for key in images},
-            vectors={k: k.removeprefix("obs/") for k, values in observed.items() if values.ndim == 2},
-            fps=float(self._env_args.get("env_kwargs", {}).get("control_freq", 0.0)),
+    def _look_at_all(self, data: Any) -> dict[str, Any]:
+        """Find the layout from what the episodes have; return the arrays of the first one that fits."""
+        found: dict[str, dict[str, Array]] = {}
+        for name in self._names_of_demos:
+            demo = data.get(name)
+            if _is_group(demo):
+                found[name] = arrays(leaves(demo))
+            else:
+                self._unread[name] = "it is no group of arrays"
+        layout = layout_of(found)
+        self._unread |= {name: why for name, of in found.items() if (why := layout.problem_of(of))}
+        first = next((name for name in found if name not in self._unread), None)
+        if first is None:
+            name, why = next(iter(self._unread.items()))
+            raise RecorderError(
+                f"{self.file} has no episode that can be read; {name}: {why}. Expected 'data/demo_0' with 'actions' of "
+                "shape (steps, size), and 'obs'"
+            )
+        self._shapes = dict(layout.shapes)
+        self.content = Hdf5Content(
+            cameras=layout.cameras,
+            vectors=layout.vectors,
+            outcomes=all("success" in data[name].attrs for name in found if name not in self._unread),
+            fps=finite_rate(self._environment.get("control_freq")),
+            robot=str(self._attributes.get("robot") or ""),
         )
+        return leaves(data[first])
 
-    def _keys(self, demo: Any) -> list[str]:
-        content = self.content
-        return [*content.cameras, *content.vectors, *content.signals, "actions"]
+    @property
+    def _environment(self) -> dict[str, Any]:
+        """Arguments of robosuite's environment."""
+        found = _object(self._attributes.get("env_args", "")).get("env_kwargs")
+        return found if isinstance(found, dict) else {}
+
+    def _split(self) -> tuple[dict[str, list[str]], dict[str, str]]:
+        """Return split to the names of its episodes, and mask to why it is no split.
+
+        Without masks all episodes are in ``train``. Episodes in no mask are too, unless there is a mask ``train``.
+        """
+        found: dict[str, list[str]] = {}
+        lost: dict[str, str] = {}
+        taken: set[str] = set()
+        read = [name for name in self._names_of_demos if name not in self._unread]
+        masks = {_SPLITS.get(mask, mask): mask for mask in self._masks}
+        for mask, members in self._masks.items():
+            if _SPLITS.get(mask, mask) not in _ORDER:
+                lost[mask] = "not one of train, valid, test"
+            elif members is None:
+                lost[mask] = "not a list of names"
+        for split in _ORDER:
+            members = self._masks.get(masks.get(split, "")) or ()
+            found[split] = [name for name in read if name in members and name not in taken]
+            taken |= set(found[split])
+        rest = [name for name in read if name not in taken]
+        if masks.get("train") in lost or "train" not in masks or not taken:
+            found["train"] = sorted([*found["train"], *rest], key=read.index)
+        else:
+            self._unread |= dict.fromkeys(rest, "no mask names it, and there is a mask 'train'")
+        return {name: found[name] for name in _ORDER if found[name]}, lost
 
     @property
     def splits(self) -> Mapping[str, int]:
@@ -102,9 +158,9 @@ class Hdf5Dataset(Dataset):
         Raises:
             RecorderError: When the file cannot be read.
         """
-        file = self.file.with_name(STATISTICS_FILE)
+        folder = self.file.parent
         try:
-            return read_json_object(file) if file.is_file() else {}
+            return read_json_object(file_in(folder, STATISTICS_FILE)) if has_file(folder, STATISTICS_FILE) else {}
         except ConfigError as error:
             raise RecorderError(str(error), ErrorCode.BAG_DAMAGED) from None
 
@@ -146,6 +202,7 @@ class Hdf5Dataset(Dataset):
             robot=content.robot,
             joint_names=content.joint_names,
             semantics=content.semantics,
+            outcomes=content.outcomes,
         )
 
     def _names(self, key: str) -> tuple[str, ...]:
@@ -153,60 +210,64 @@ class Hdf5Dataset(Dataset):
         last = key.rpartition("/")[2]
         return self.content.components.get(key) or tuple(f"{last}.{index}" for index in range(count))
 
-    @cached_property
-    def _env_args(self) -> dict[str, Any]:
-        return _object(self._attributes.get("env_args", ""))
-
     def read(self, split: str, index: int) -> Episode:
         """Read an episode of a split; its steps are read on demand."""
         demo = self._demos[split][index]
-        with self._open() as file:
+        where = f"{self.file}, {demo}"
+        with opened(self.file) as file, reading(where):
             group = file["data"][demo]
-            attributes = {name: _text(value) for name, value in group.attrs.items()}
-            length = len(group["actions"])
-            rewarded = "rewards" in group and length > 0 and bool(group["rewards"][-1] > 0)
+            said = attributes(group)
+            own = _object(said.get(ATTRIBUTE, ""))
+            length = len(numbers(group.get("actions"), f"{where}, 'actions'", len(_array(group, "actions", where))))
+            rewarded = solved(numbers(group["rewards"], f"{where}, 'rewards'", length)) if _readable(group) else None
+        instructions = own.get("instructions")
         return self.description.episode(
             length=length,
-            instruction=self._instruction(attributes),
-            success=rewarded,
-            said=_object(attributes.get(ATTRIBUTE, "")),
-            read=lambda wanted: self._steps(demo, wanted),
+            instruction=self._instruction(said),
+            instructions=[str(text) for text in instructions] if isinstance(instructions, list) else (),
+            success=_flag(said["success"]) if "success" in said else rewarded,
+            said=own,
+            name="" if ATTRIBUTE in self._attributes else demo,
+            read=lambda wanted: self._steps(demo, length, wanted),
         )
 
-    def _instruction(self, attributes: Mapping[str, str]) -> str:
+    def _instruction(self, said: Mapping[str, str]) -> str:
         """Return the instruction: RoboXim's, else robocasa's (``ep_meta``), else LIBERO's (``problem_info``)."""
         places = (
-            attributes.get("instruction"),
-            _object(attributes.get("ep_meta", "")).get("lang"),
+            said.get("instruction"),
+            _object(said.get("ep_meta", "")).get("lang"),
             _object(self._attributes.get("problem_info", "")).get("language_instruction"),
         )
         return next((str(text) for text in places if text), "")
 
-    def _steps(self, demo: str, wanted: Wanted) -> Iterator[Step]:
-        content = self.content
-        with self._open() as file:
-            group = file["data"][demo]
-            try:
-                yield from self._read_steps(group, content, wanted)
-            except (OSError, KeyError) as error:
-                raise RecorderError(f"cannot read {demo} of {self.file}: {error}", ErrorCode.BAG_DAMAGED) from None
+    def _steps(self, demo: str, length: int, wanted: Wanted) -> Iterator[Step]:
+        where = f"{self.file}, {demo}"
+        with opened(self.file) as file, reading(where):
+            yield from self._read_steps(file["data"][demo], length, wanted, where)
 
-    def _read_steps(self, group: Any, content: Hdf5Content, wanted: Wanted) -> Iterator[Step]:
+    def _read_steps(self, group: Any, length: int, wanted: Wanted, where: str) -> Iterator[Step]:
+        content = self.content
+
         def chosen(names: Mapping[str, str], cameras: tuple[str, ...]) -> dict[str, Any]:
             by_camera = {camera: key for key, camera in names.items()}
-            return {camera: group[by_camera[camera]] for camera in cameras}
+            found = {camera: _array(group, by_camera[camera], where) for camera in cameras}
+            for camera, array in found.items():
+                if array.ndim != 4 or len(array) < length:
+                    problem = f"images of shape {array.shape} for {length} steps"
+                    raise RecorderError(f"{where}, '{by_camera[camera]}': {problem}", ErrorCode.BAG_DAMAGED)
+            return found
 
-        def numbers(key: str) -> Floats:
-            values = np.asarray(group[key][:], np.float32)
-            return values.reshape(len(values), -1)
+        def rows(key: str) -> Any:
+            return numbers(_array(group, key, where), f"{where}, '{key}'", length)
 
         images, depth = chosen(content.cameras, wanted.cameras), chosen(content.depth, wanted.depth)
         masks = chosen(content.segmentation, wanted.segmentation)
-        actions = numbers("actions")
-        rewards = numbers("rewards")[:, 0] if "rewards" in group else np.zeros(len(actions), np.float32)
-        vectors = {name: numbers(key) for key, name in content.vectors.items()}
-        signals = {name: numbers(key) for key, name in content.signals.items()}
+        actions = rows("actions")
+        rewards = rows("rewards")[:, 0] if _readable(group) else np.zeros(length, np.float32)
+        vectors = {name: rows(key) for key, name in content.vectors.items()}
+        signals = {name: rows(key) for key, name in content.signals.items()}
         executed = signals.pop(EXECUTED, None)
+        texts = self._texts(group, rows) if INSTRUCTIONS in group else [None] * length
         for index, action in enumerate(actions):
             yield Step(
                 index=index,
@@ -218,31 +279,143 @@ class Hdf5Dataset(Dataset):
                 action_executed=None if executed is None else executed[index],
                 signals={name: values[index] for name, values in signals.items()},
                 reward=float(rewards[index]),
+                instruction=texts[index],
             )
 
+    def _texts(self, group: Any, rows: Any) -> list[str | None]:
+        """Return the instruction of each step."""
+        listed = _object(attributes(group).get(ATTRIBUTE, "")).get("instructions", [])
+        return [str(listed[int(number)]) for number in rows(INSTRUCTIONS)[:, 0]]
 
-def _demos(file: Any) -> dict[str, list[str]]:
-    """Return split to the names of its episodes; without masks all are in ``train``."""
-    names = sorted(file["data"], key=lambda name: (len(name), name))
-    masks = file.get("mask", {})
-    found: dict[str, list[str]] = {}
-    for mask in masks:
-        members = {_text(name) for name in masks[mask][:]}
-        split = _SPLITS.get(mask, mask)
-        if split in ("train", "val", "test"):
-            found[split] = [name for name in names if name in members]
-    order = {name: found[name] for name in ("train", "val", "test") if found.get(name)}
-    return order or {"train": names}
+    # -- what the file holds
+
+    def _take_stock(self, account: Account) -> None:
+        own = ATTRIBUTE in self._attributes
+        with opened(self.file) as file, reading(self.file):
+            for name in file:
+                if name not in ("data", "mask"):
+                    account.holds("key", name)
+            for name in self._attributes:
+                account.holds("metadata", f"data.attrs[{name}]")
+                if name in ("env_args", "problem_info", "robot", ATTRIBUTE) and self._attributes[name]:
+                    account.reads("metadata", f"data.attrs[{name}]")
+                elif name == "total":
+                    account.implies("metadata", f"data.attrs[{name}]", "the number of steps")
+            for mask, members in self._masks.items():
+                account.holds("split", f"mask/{mask}")
+                account.leaves_out(
+                    "split", f"mask/{mask}", self._lost_splits.get(mask, ""), int(mask in self._lost_splits)
+                )
+                account.reads("split", f"mask/{mask}")
+                for member in sorted((members or set()) - set(self._names_of_demos)):
+                    account.holds("episode", f"{member} of mask/{mask}")
+                    account.leaves_out("episode", f"{member} of mask/{mask}", "there is no such episode")
+            for name in self._names_of_demos:
+                account.holds("episode", name)
+                if name in self._unread:
+                    account.leaves_out("episode", name, self._unread[name])
+                account.reads("episode", name)
+                demo = file["data"].get(name)
+                if _is_group(demo):
+                    self._take_stock_of(account, name, demo, own=own)
+
+    def _take_stock_of(self, account: Account, name: str, demo: Any, *, own: bool) -> None:
+        content = self.content
+        keys = {*content.cameras, *content.vectors, *content.signals, *content.depth, *content.segmentation, "actions"}
+        found = arrays(leaves(demo))
+        length = found["actions"].length if "actions" in found else 0
+        for attribute in attributes(demo):
+            shown = f"demo.attrs[{attribute}]"
+            account.holds("metadata", shown)
+            if attribute in _REPEATED:
+                account.implies("metadata", shown, _REPEATED[attribute], 1)
+            elif attribute in _READ_ATTRIBUTES and name not in self._unread:
+                account.reads("metadata", shown, 1)
+        for path, array in found.items():
+            account.holds("key", path, array.length)
+            last = path.rpartition("/")[2]
+            if name in self._unread:
+                account.leaves_out("key", path, "in an episode that is left out", array.length)
+            elif path in keys:
+                account.reads("key", path, length, changed="" if own else changed(path, array))
+                account.leaves_out("key", path, "after the last action", array.length - length)
+            elif path == "rewards" and not array.problem:
+                account.reads("key", path, length, changed="" if own else changed(path, array))
+            elif path == INSTRUCTIONS and own:
+                account.reads("key", path, array.length)
+            elif path == "dones" and own:
+                account.implies("key", path, _REPEATED[path], array.length)
+            elif path.startswith("next_") and path.removeprefix("next_") in found:
+                account.implies("key", path, "the observations one step ahead", array.length)
+            else:
+                why = reason_not_read(path, array) or f"most episodes have no such '{last}'"
+                account.leaves_out("key", path, f"{why} ({array.dtype}, {_shown(array.shape)})", array.length)
 
 
-def _text(value: Any) -> str:
-    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+def _shown(shape: tuple[int, ...]) -> str:
+    return f"{1 + len(shape)}-D"
+
+
+def _is_group(item: Any) -> bool:
+    import h5py
+
+    return isinstance(item, h5py.Group)
+
+
+def _readable(group: Any) -> bool:
+    """Return whether an episode has rewards, one number a step."""
+    import h5py
+
+    rewards, actions = group.get("rewards"), group["actions"]
+    return isinstance(rewards, h5py.Dataset) and not problem_of(rewards) and rewards.shape[:1] == actions.shape[:1]
+
+
+def _array(group: Any, key: str, where: object) -> Any:
+    """Return an array whose values can be read.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when there is none.
+    """
+    import h5py
+
+    item = group.get(key)
+    problem = problem_of(item) if isinstance(item, h5py.Dataset) else "there is no such array"
+    if not problem and item.ndim < 1:
+        problem = "a single value"
+    if problem:
+        raise RecorderError(f"{where}, '{key}': {problem}", ErrorCode.BAG_DAMAGED)
+    return item
+
+
+def _masks(file: Any) -> dict[str, set[str] | None]:
+    """Return mask to the names that it lists; None: it is no list of names."""
+    import h5py
+
+    group = file.get("mask")
+    if not _is_group(group):
+        return {}
+    found: dict[str, set[str] | None] = {}
+    for mask in group:
+        item = group.get(mask)
+        listed = isinstance(item, h5py.Dataset) and item.ndim == 1 and item.dtype.kind in "SO" and not item.external
+        if listed and len(item) <= max(1, item.id.get_storage_size()):
+            with reading(f"mask/{mask}"):
+                found[mask] = {_text(name) for name in item[:]}
+        else:
+            found[mask] = None
+    return found
+
+
+def _flag(text: str) -> bool | None:
+    """Return what an attribute says; None: it says neither yes nor no."""
+    words = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
+    return words.get(text.strip("[] ").lower())
 
 
 def _object(text: str) -> dict[str, Any]:
     """Return a JSON object; an empty one when the text is none."""
     try:
-        value = json.loads(text)
-    except ValueError:
+        value = parse_json(text)
+    except ConfigError:
         return {}
     return value if isinstance(value, dict) else {}

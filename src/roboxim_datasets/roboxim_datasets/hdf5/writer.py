@@ -14,7 +14,7 @@ from roboxim_datasets.build import ResumableBuild, write_files
 from roboxim_datasets.dataset import Description
 from roboxim_datasets.episode import Episode, Step
 from roboxim_datasets.hdf5.disk import new_file
-from roboxim_datasets.hdf5.layout import ATTRIBUTE, FILE, MASKS, STATISTICS_FILE, Hdf5Options, content_of
+from roboxim_datasets.hdf5.layout import ATTRIBUTE, FILE, INSTRUCTIONS, MASKS, STATISTICS_FILE, Hdf5Options, content_of
 from roboxim_datasets.statistics import VectorStatistics
 
 _GYM = 2  # robomimic's number of the kind of environment
@@ -67,15 +67,23 @@ class Hdf5Writer:
 
     def _write(self, group: Any, episode: Episode) -> None:
         content, length = self.content, episode.length
+        group.require_group("obs")  # also without any observation
         group.attrs["num_samples"] = length
         group.attrs["instruction"] = episode.instruction
         group.attrs["ep_meta"] = json.dumps({"lang": episode.instruction})  # as robocasa says it
-        said = {"episode_id": episode.episode_id, "success": episode.success, "metadata": dict(episode.metadata)}
+        said: dict[str, Any] = {
+            "episode_id": episode.episode_id, "success": episode.success, "metadata": dict(episode.metadata)
+        }  # fmt: skip
+        if episode.instructions:
+            said["instructions"] = list(episode.instructions)
         group.attrs[ATTRIBUTE] = json.dumps(said)
+        if not length:
+            raise InvalidRequestError(f"episode '{episode.episode_id}' has no steps; leave it out")
         images = {key: self._images(group, key, camera, length) for key, camera in content.cameras.items()}
         depth = {key: self._map(group, key, c, length, "float32") for key, c in content.depth.items()}
         masks = {key: self._map(group, key, c, length, "uint16") for key, c in content.segmentation.items()}
         rows: dict[str, list[Any]] = {key: [] for key in (*content.components, "rewards")}
+        spoken: list[int] = []
         for step in episode.steps(
             list(content.cameras.values()),
             depth=list(content.depth.values()),
@@ -83,6 +91,8 @@ class Hdf5Writer:
         ):
             for key, values in self._numbers(step).items():
                 rows[key].append(values)
+            if episode.instructions:
+                spoken.append(episode.instructions.index(step.instruction or episode.instruction))
             for key, dataset in images.items():
                 dataset[step.index] = step.images[content.cameras[key]]
             for key, dataset in depth.items():
@@ -91,6 +101,8 @@ class Hdf5Writer:
                 dataset[step.index] = step.segmentation[content.segmentation[key]][..., None]
         for key, collected in rows.items():
             group.create_dataset(key, data=self._checked(key, np.array(collected, np.float32)))
+        if spoken:
+            group.create_dataset(INSTRUCTIONS, data=np.array(spoken, np.int64))
         group.create_dataset("dones", data=np.eye(length, dtype=np.int64)[-1])
 
     def _numbers(self, step: Step) -> dict[str, Any]:

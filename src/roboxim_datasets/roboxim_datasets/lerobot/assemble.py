@@ -12,6 +12,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_datasets.build import Facts, ResumableBuild, write_files
 from roboxim_datasets.lerobot.layout import (
@@ -42,7 +44,6 @@ class _Numbered:
 
     index: int
     first: int
-    task: int
     facts: Facts
     piece: Piece
     indices: Mapping[str, Array]
@@ -66,7 +67,7 @@ def assemble(build: ResumableBuild, layout: LeRobotLayout, videos: VideoWriters)
     """
     splits = build.split_entries()
     entries = [entry for split in splits.values() for entry in split]
-    tasks = list(dict.fromkeys(entry["instruction"] for entry in entries))
+    tasks = list(dict.fromkeys(text for entry in entries for text in _instructions(entry)))
     build.staged.mkdir()
     statistics = DatasetStatistics(layout)
     target = _Version30(build, layout) if layout.version == "3.0" else _Version21(build, layout)
@@ -100,10 +101,17 @@ def _numbered(
     numbers = {task: number for number, task in enumerate(tasks)}
     for index, entry in enumerate(entries):
         piece = Piece.read(build.piece(entry["split"], entry["number"], "rows.arrow"))
-        task = numbers[entry["instruction"]]
+        spoken = entry.get("spoken") or [None] * len(piece)
+        task = np.array([numbers[text or entry["instruction"]] for text in spoken], np.int64)
         indices = index_arrays(len(piece), fps=layout.fps, episode=index, first=first, task=task)
-        yield _Numbered(index=index, first=first, task=task, facts=entry, piece=piece, indices=indices)
+        yield _Numbered(index=index, first=first, facts=entry, piece=piece, indices=indices)
         first += len(piece)
+
+
+def _instructions(facts: Facts) -> list[str]:
+    """Return the instructions of an episode, each once."""
+    found: list[str] = facts.get("instructions") or [facts["instruction"]]
+    return found
 
 
 def _video_piece(build: ResumableBuild, entry: Facts, key: str) -> Path:
@@ -156,7 +164,7 @@ class _Version30:
         self._rows.append(
             {
                 "episode_index": episode.index,
-                "tasks": [episode.facts["instruction"]],
+                "tasks": _instructions(episode.facts),
                 "length": episode.length,
                 "data/chunk_index": chunk,
                 "data/file_index": file,
@@ -232,7 +240,7 @@ class _Version21:
         path = self._root / DATA_PATH["2.1"].format(episode_chunk=index // CHUNK, episode_index=index)
         path.parent.mkdir(parents=True, exist_ok=True)
         pq.write_table(complete_table(self._layout, episode.piece, episode.indices), path)
-        said = {"episode_index": index, "tasks": [episode.facts["instruction"]], "length": episode.length}
+        said = {"episode_index": index, "tasks": _instructions(episode.facts), "length": episode.length}
         self._episodes.write(json.dumps(said, ensure_ascii=False) + "\n")
         self._stats.write(json.dumps({"episode_index": index, "stats": stats}) + "\n")
 

@@ -63,6 +63,8 @@ class LeRobotContent:
     """Column to the observed vector (`Step.proprio`) that it holds."""
     signals: Mapping[str, str]
     """Column to the signal (`Step.signals`) that it holds; `EXECUTED` is among them."""
+    outcomes: bool = True
+    """Whether every episode says if it solved its task."""
     semantics: ActionSemantics | None = None
     """Meaning of the actions; None: unknown."""
     joint_names: tuple[str, ...] = ()
@@ -101,6 +103,7 @@ def content_of(description: Description, options: LeRobotOptions) -> LeRobotCont
         segmentation={f"{SIGNAL_PREFIX}segmentation.{camera}": camera for camera in features.segmentation},
         vectors={_vector_column(names, name, features.vectors): name for name in features.vectors},
         signals={name: name for name in features.signals},
+        outcomes=description.outcomes,
         semantics=description.semantics,
         joint_names=description.joint_names,
         parts=description.parts,
@@ -134,6 +137,10 @@ def layout_of(description: Description, content: LeRobotContent, options: LeRobo
         InvalidRequestError: On a rate that is not a whole number, or images that the codec does not support.
     """
     features, fps = description.features, round(description.fps)
+    if not description.fps:
+        raise InvalidRequestError(
+            "nobody states the steps per second of the episodes, which a LeRobot dataset needs; state them: --fps 10"
+        )
     if fps < 1 or fps != description.fps:
         raise InvalidRequestError(
             f"a LeRobot dataset has a whole number of steps per second, got {description.fps:g}; export at another rate"

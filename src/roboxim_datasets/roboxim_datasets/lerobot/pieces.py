@@ -128,7 +128,7 @@ def sample_column(samples: list[Array]) -> pa.Array:
     return _arrow(values, pa.list_(pa.float32(), values.shape[1]))
 
 
-def index_arrays(count: int, *, fps: int, episode: int, first: int, task: int) -> dict[str, Array]:
+def index_arrays(count: int, *, fps: int, episode: int, first: int, task: Array) -> dict[str, Array]:
     """Return the values of `INDEX_COLUMNS` for an episode.
 
     Args:
@@ -136,7 +136,7 @@ def index_arrays(count: int, *, fps: int, episode: int, first: int, task: int) -
         fps: Steps per second.
         episode: Number of the episode.
         first: Number of its first step in the dataset.
-        task: Number of its instruction.
+        task: Number of each step's instruction.
     """
     steps = np.arange(count)
     return {
@@ -144,7 +144,7 @@ def index_arrays(count: int, *, fps: int, episode: int, first: int, task: int) -
         "frame_index": steps,
         "episode_index": np.full(count, episode),
         "index": first + steps,
-        "task_index": np.full(count, task),
+        "task_index": task,
     }
 
 

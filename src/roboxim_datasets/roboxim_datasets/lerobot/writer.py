@@ -98,7 +98,11 @@ class LeRobotWriter:
             collected.add(step)
         piece = collected.piece(episode)
         piece.write(self._build.piece(split, number, "rows.arrow"))
-        facts = {"split": split, "number": number, "length": len(piece), "instruction": episode.instruction}
+        facts: dict[str, Any] = {
+            "split": split, "number": number, "length": len(piece), "instruction": episode.instruction
+        }  # fmt: skip
+        if episode.instructions:
+            facts |= {"instructions": list(episode.instructions), "spoken": collected.spoken}
         self._under_way.append((facts, {key: video.close() for key, video in videos.items()}))
         self._settle(_UNDER_WAY)
 
@@ -157,11 +161,14 @@ class _Collected:
         self._layout, self._content, self._videos = layout, content, videos
         self._rows: dict[str, list[Any]] = {key: [] for key in layout.columns}
         self._encoded: dict[str, list[bytes]] = {key: [] for key in (*layout.depth, *layout.cameras)}
+        self.spoken: list[str | None] = []
+        """Instruction of each step; None: the episode's."""
         self._samples: dict[str, list[Array]] = {key: [] for key in layout.depth}
         self._statistics = {key: ImageStatistics() for key in layout.cameras}
 
     def add(self, step: Step) -> None:
         """Take a step."""
+        self.spoken.append(step.instruction)
         names, content = self._content.names, self._content
         values: dict[str, Any] = {names.action: step.action, names.reward: step.reward, names.done: False}
         values |= {key: step.vector(vector) for key, vector in content.vectors.items()}

@@ -12,7 +12,7 @@ from typing import Literal
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_datasets.dataset import SPLITS, Dataset, Description, Features
-from roboxim_datasets.episode import METADATA, OWN_FIELDS, SIGNAL_PREFIX, Episode
+from roboxim_datasets.episode import METADATA, OWN_FIELDS, SIGNAL_PREFIX, Episode, MetaValue
 from roboxim_datasets.registry import FORMATS
 from roboxim_datasets.rlds.episodes import EncodedSteps, read_steps, to_rlds
 from roboxim_datasets.rlds.format import META_NAMES, RldsFeatures, encode_episode
@@ -120,6 +120,7 @@ class RldsFormat:
     """RLDS: TensorFlow Datasets, Octo, OpenVLA."""
 
     options = RldsOptions
+    maps = False  # of depth and segmentation
 
     def find(self, path: Path) -> list[Path]:
         """Return the datasets that a path is or that the folder holds."""
@@ -147,10 +148,16 @@ class RldsFormat:
             raise InvalidRequestError(
                 "the RLDS export holds colour images only; leave depth and segmentation out, or export another format"
             )
+        own: dict[str, type[MetaValue]] = dict(OWN)
+        if not description.outcomes:
+            del own["success"]
+            own["outcome"] = str
+        if description.fps and (description.semantics is None or description.semantics.rate_hz != description.fps):
+            own["fps"] = float
         features = RldsFeatures(
             images={found.keys[camera]: (size.height, size.width) for camera, size in found.cameras.items()},
             encoding=options.encoding,
-            metadata={key: META_NAMES[kind] for key, kind in {**OWN, **description.metadata}.items()},
+            metadata={key: META_NAMES[kind] for key, kind in {**description.metadata, **own}.items()},
             vectors={name: len(names) for name, names in found.vectors.items()},
             signals={name.removeprefix(SIGNAL_PREFIX): len(names) for name, names in found.signals.items()},
             action={"steps/action": len(found.action)},

@@ -17,7 +17,17 @@ from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_core.images import encode_image
 from roboxim_core.proprioception import ProprioField, component_names
 from roboxim_datasets.dataset import Features
-from roboxim_datasets.episode import EXECUTED, OWN_FIELDS, SIGNAL_PREFIX, Episode, ImageSize, MetaValue, Step, Wanted
+from roboxim_datasets.episode import (
+    EXECUTED,
+    OWN_FIELDS,
+    SIGNAL_PREFIX,
+    Episode,
+    ImageSize,
+    MetaValue,
+    Step,
+    Wanted,
+    solved,
+)
 from roboxim_datasets.rlds.format import RldsEpisode, RldsFeatures
 
 USUAL_KEYS = {"workspace": "image", "wrist": "wrist_image"}
@@ -67,7 +77,9 @@ def to_rlds(read: EncodedSteps, described: Features, features: RldsFeatures) -> 
     episode, steps = read.episode, read.steps
     own: dict[str, MetaValue] = {
         "episode_id": episode.episode_id,
-        "success": episode.success,
+        "success": bool(episode.success),
+        "outcome": OUTCOMES[episode.success],
+        "fps": float(episode.fps),
         "robot": episode.robot,
         "action_semantics": to_json(episode.semantics) if episode.semantics else "",
         "cameras": json.dumps({key: camera for camera, key in read.keys.items()}, sort_keys=True),
@@ -81,6 +93,7 @@ def to_rlds(read: EncodedSteps, described: Features, features: RldsFeatures) -> 
         signals={name: np.stack([step.signal(SIGNAL_PREFIX + name) for step in steps]) for name in features.signals},
         action=np.stack([step.action for step in steps]),
         instruction=episode.instruction,
+        instructions=tuple(step.instruction or episode.instruction for step in steps) if episode.instructions else (),
         reward=np.array([step.reward for step in steps], np.float32),
         metadata={key: value for key, value in {**episode.metadata, **own}.items() if key in features.metadata},
     )
@@ -115,6 +128,7 @@ def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:
                 action_executed=episode.signals[executed][index] if executed in episode.signals else None,
                 signals={SIGNAL_PREFIX + name: episode.signals[name][index] for name in others},
                 reward=float(episode.reward[index]),
+                instruction=episode.instructions[index] if episode.instructions else None,
             )
 
     semantics = semantics_of(episode)
@@ -125,15 +139,37 @@ def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:
         instruction=episode.instruction,
         semantics=semantics,
         cameras={camera: ImageSize(height=height, width=width) for camera, (height, width) in sizes.items()},
-        success=bool(metadata.get("success", episode.reward[-1] > 0)),
+        instructions=tuple(dict.fromkeys(episode.instructions)),
+        success=_success(episode),
         robot=str(metadata.get("robot", "")),
         joint_names=tuple(_parsed(metadata, "joint_names", [])),
-        fps=semantics.rate_hz if semantics else 0.0,
+        fps=_rate(metadata.get("fps", 0.0)) or (semantics.rate_hz if semantics else 0.0),
         vectors=names.vectors,
         signals={name: value for name, value in names.signals.items() if name != EXECUTED},
-        metadata={key: value for key, value in metadata.items() if key not in OWN_FIELDS},
+        metadata={key: value for key, value in metadata.items() if key not in {*OWN_FIELDS, "outcome", "fps"}},
         read=read,
     )
+
+
+OUTCOMES: Mapping[bool | None, str] = {True: "success", False: "failure", None: "unknown"}
+"""Outcome to its text in ``episode_metadata/outcome``, which datasets have if not every episode says its success."""
+
+
+def _success(episode: RldsEpisode) -> bool | None:
+    """Return whether an episode solved its task: as its metadata say it, else as its rewards do."""
+    metadata = episode.metadata
+    if "success" in metadata:
+        said = str(metadata["success"]).strip().lower()
+        return {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}.get(said)
+    if "outcome" in metadata:
+        return {text: value for value, text in OUTCOMES.items()}.get(str(metadata["outcome"]))
+    return solved(episode.reward)
+
+
+def _rate(said: MetaValue) -> float:
+    """Return a rate as it was before it was stored in single precision; 0: it is none."""
+    rate = float(f"{said:.7g}") if isinstance(said, int | float) else 0.0
+    return rate if np.isfinite(rate) and rate > 0 else 0.0
 
 
 def semantics_of(episode: RldsEpisode) -> ActionSemantics | None:

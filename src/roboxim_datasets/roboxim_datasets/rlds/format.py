@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
-from roboxim_core.images import ENCODINGS, decode_image
+from roboxim_core.images import ENCODINGS
 from roboxim_datasets.episode import MetaValue
+from roboxim_datasets.pictures import MOST_COMPONENTS, MOST_PIXELS, colour_picture
 from roboxim_datasets.rlds.tfrecord import Feature, decode_example, encode_example
 
 Array = npt.NDArray[np.float32]
@@ -28,7 +29,7 @@ class RldsFeatures:
     """Features of a dataset's episodes. The defaults of the paths are those that RoboXim writes."""
 
     images: dict[str, tuple[int, int]]
-    """Image key, e.g. ``image`` or ``wrist_image``, to (height, width) [px]."""
+    """Image key, e.g. ``image`` or ``wrist_image``, to (height, width) [px]; 0: of any size."""
     encoding: str = "jpeg"
     """``jpeg`` or ``png``."""
     metadata: dict[str, str] = field(default_factory=dict)
@@ -77,7 +78,9 @@ class RldsEpisode:
     action: Array
     """float32, shape (T, D); its meaning is in the metadata's ``action_semantics``."""
     instruction: str
-    """Natural language instruction."""
+    """Natural language instruction; the first step's, if the steps have several."""
+    instructions: tuple[str, ...] = ()
+    """Instruction of each of the T steps, if they have several."""
     reward: Array
     """float32, shape (T,)."""
     signals: Mapping[str, Array] = field(default_factory=dict)
@@ -101,8 +104,8 @@ class RldsEpisode:
             RecorderError: With code ``BAG_DAMAGED`` if the bytes are not an image.
         """
         try:
-            return decode_image(self.images[key][step])
-        except InvalidRequestError as error:
+            return colour_picture(self.images[key][step])
+        except RecorderError as error:
             raise RecorderError(f"step {step}, image '{key}': {error}", ErrorCode.BAG_DAMAGED) from None
 
     def frames(self, key: str) -> npt.NDArray[np.uint8]:
@@ -135,7 +138,7 @@ def encode_episode(episode: RldsEpisode, features: RldsFeatures) -> bytes:
         "steps/is_first": flags[0],
         "steps/is_last": flags[1],
         "steps/is_terminal": flags[1],
-        "steps/language_instruction": [episode.instruction.encode()] * count,
+        "steps/language_instruction": [text.encode() for text in episode.instructions or [episode.instruction] * count],
     }
     for name, values in episode.vectors.items():
         example[f"steps/observation/{name}"] = values
@@ -232,12 +235,12 @@ def features_to_json(features: RldsFeatures, names: Mapping[str, tuple[str, ...]
 def features_from_json(data: dict[str, Any]) -> RldsFeatures:
     """Read the content of ``features.json``, RoboXim's or another's.
 
-    Observations that are neither colour images nor vectors of numbers are left out.
+    Observations that are neither colour images nor vectors of numbers are left out; `reason_not_read` says why.
 
     Raises:
         InvalidRequestError: When the steps have no action.
     """
-    leaves = dict(_leaves(data, ""))
+    leaves = leaves_of(data)
     images: dict[str, tuple[int, int]] = {}
     vectors: dict[str, int] = {}
     signals: dict[str, int] = {}
@@ -246,8 +249,8 @@ def features_from_json(data: dict[str, Any]) -> RldsFeatures:
         name = path.removeprefix("steps/observation/").removeprefix("steps/sim/")
         size = _vector_size(leaf)
         if path.startswith("steps/observation/") and _is_colour(leaf):
-            height, width, _ = (int(n) for n in leaf["image"]["shape"]["dimensions"])
-            images[name] = (height, width)
+            height, width = _shape(leaf, "image")[:2]
+            images[name] = (height, width) if height > 0 and width > 0 else (0, 0)
             encoding = encoding or leaf["image"].get("encodingFormat") or "png"
         elif path.startswith("steps/observation/") and size and "embedding" not in name:
             vectors[name] = size
@@ -271,6 +274,25 @@ def features_from_json(data: dict[str, Any]) -> RldsFeatures:
     )
 
 
+def leaves_of(data: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return path to description of every feature that holds values, from the content of ``features.json``."""
+    return dict(_leaves(data, ""))
+
+
+def reason_not_read(path: str, leaf: dict[str, Any]) -> str:
+    """Return why a feature is left out."""
+    kind = next((kind for kind in ("tensor", "image", "text", "sequence") if kind in leaf), "feature of another kind")
+    if kind not in ("tensor", "image"):
+        return f"a {kind}, no image and no vector of numbers"
+    shape = tuple(_shape(leaf, kind))
+    dtype = leaf[kind].get("dtype", "uint8")
+    if kind == "image":
+        return f"images of {dtype} and shape {shape}; only colour images of uint8 are read"
+    if "embedding" in path:
+        return f"an embedding ({dtype}, shape {shape})"
+    return f"{dtype} of shape {shape}" + ("" if path.startswith("steps/observation/") else ", not an observation")
+
+
 def _leaves(feature: dict[str, Any], path: str) -> Iterable[tuple[str, dict[str, Any]]]:
     """Yield path and description of every feature that holds values."""
     if "featuresDict" in feature:
@@ -283,13 +305,15 @@ def _leaves(feature: dict[str, Any], path: str) -> Iterable[tuple[str, dict[str,
 
 
 def _shape(leaf: dict[str, Any], kind: str) -> list[int]:
-    return [int(size) for size in leaf[kind].get("shape", {}).get("dimensions", [])]
+    return [int(size if size is not None else -1) for size in leaf[kind].get("shape", {}).get("dimensions", [])]
 
 
 def _is_colour(leaf: dict[str, Any]) -> bool:
     if "image" not in leaf or leaf["image"].get("encodingFormat", "png") not in (*ENCODINGS, ""):
         return False
-    return leaf["image"].get("dtype", "uint8") == "uint8" and _shape(leaf, "image")[2:] == [3]
+    shape = _shape(leaf, "image") or [-1, -1, 3]
+    small = len(shape) == 3 and shape[0] * shape[1] <= MOST_PIXELS
+    return leaf["image"].get("dtype", "uint8") == "uint8" and shape[2:] == [3] and small
 
 
 def _vector_size(leaf: dict[str, Any]) -> int:
@@ -299,7 +323,8 @@ def _vector_size(leaf: dict[str, Any]) -> int:
     if leaf["tensor"].get("encoding", "none") not in ("none", "NONE"):
         return 0
     shape = _shape(leaf, "tensor")
-    return 1 if not shape else shape[0] if len(shape) == 1 else 0
+    size = 1 if not shape else shape[0] if len(shape) == 1 else 0
+    return size if 0 < size <= MOST_COMPONENTS else 0
 
 
 def _is_text(leaf: dict[str, Any]) -> bool:
@@ -322,39 +347,66 @@ def _instruction(leaves: Mapping[str, dict[str, Any]]) -> str:
     return named[0] if named else ""
 
 
+def paths_of(features: RldsFeatures) -> list[str]:
+    """Return the paths of all features that are read."""
+    return [
+        *features.action, *filter(None, (features.instruction, features.reward)),
+        *(f"episode_metadata/{key}" for key in features.metadata),
+        *(f"steps/observation/{name}" for name in (*features.images, *features.vectors)),
+        *(f"steps/sim/{name}" for name in features.signals),
+    ]  # fmt: skip
+
+
 def decode_episode(payload: bytes, features: RldsFeatures) -> RldsEpisode:
     """Turn a record of a dataset into an episode, images still encoded.
 
     Raises:
         ValueError: When the record does not hold what the features say.
     """
-    wanted = [
-        *features.action, features.instruction, features.reward,
-        *(f"episode_metadata/{key}" for key in features.metadata),
-        *(f"steps/observation/{name}" for name in (*features.images, *features.vectors)),
-        *(f"steps/sim/{name}" for name in features.signals),
-    ]  # fmt: skip
-    example: dict[str, Any] = decode_example(payload, wanted)
+    example: dict[str, Any] = decode_example(payload, paths_of(features))
 
     def numbers(path: str, size: int) -> Array:
         if path not in example:
             raise ValueError(f"a record lacks '{path}'")
-        return np.asarray(example[path], np.float32).reshape(-1, size)
+        values = np.asarray(example[path])
+        if values.dtype.kind not in "fi" or len(values) % size:
+            raise ValueError(f"'{path}' holds {len(values)} values of {values.dtype}, expected {size} numbers a step")
+        return np.asarray(values, np.float32).reshape(-1, size)
 
     metadata: dict[str, MetaValue] = {}
     for key, kind in features.metadata.items():
         value = example.get(f"episode_metadata/{key}", ())
         if len(value):
-            metadata[key] = value[0].decode() if kind == "text" else META_TYPES[kind](value[0])
+            if isinstance(value[0], bytes) != (kind == "text"):
+                raise ValueError(f"'episode_metadata/{key}' is not of the kind {kind}")
+            metadata[key] = value[0].decode() if isinstance(value[0], bytes) else META_TYPES[kind](value[0])
     action = np.concatenate([numbers(path, size) for path, size in features.action.items()], axis=1)
-    instruction = example.get(features.instruction, ())
+    texts = _texts(example.get(features.instruction, ()), len(action))
     reward = numbers(features.reward, 1)[:, 0] if features.reward else np.zeros(len(action), np.float32)
-    return RldsEpisode(
+    episode = RldsEpisode(
         images={key: example.get(f"steps/observation/{key}", []) for key in features.images},
         vectors={name: numbers(f"steps/observation/{name}", size) for name, size in features.vectors.items()},
         signals={name: numbers(f"steps/sim/{name}", size) for name, size in features.signals.items()},
         action=action,
-        instruction=instruction[0].decode() if len(instruction) else "",
+        instruction=texts[0] if texts else "",
+        instructions=tuple(texts) if len(set(texts)) > 1 else (),
         reward=reward,
         metadata=metadata,
     )
+    parts = {**episode.images, **episode.vectors, **episode.signals, "reward": reward}
+    for name, values in parts.items():
+        if len(values) != len(action) or (name in episode.images and not isinstance(values, list)):
+            raise ValueError(f"'{name}' has {len(values)} steps, expected {len(action)} as the action")
+    if not len(action):
+        raise ValueError("it has no steps")
+    return episode
+
+
+def _texts(values: Any, count: int) -> list[str]:
+    """Return the instruction of each step; none: the record has none."""
+    if not len(values):
+        return []
+    if len(values) not in (1, count) or not all(isinstance(value, bytes) for value in values):
+        raise ValueError(f"{len(values)} instructions, expected one for each of {count} steps")
+    texts = [value.decode(errors="replace") for value in values]
+    return texts * count if len(texts) == 1 else texts

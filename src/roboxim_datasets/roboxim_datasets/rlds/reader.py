@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from roboxim_core.documents import read_json_object
-from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of, printable
+from roboxim_datasets.account import Account, Kind
 from roboxim_datasets.dataset import Dataset, Description, Features
 from roboxim_datasets.episode import Episode, ImageSize
+from roboxim_datasets.files import file_in, reading
+from roboxim_datasets.pictures import head_of
 from roboxim_datasets.rlds.episodes import camera_keys, component_names_of, from_rlds
-from roboxim_datasets.rlds.format import RldsEpisode, RldsFeatures, decode_episode, features_from_json
+from roboxim_datasets.rlds.format import (
+    RldsEpisode,
+    RldsFeatures,
+    decode_episode,
+    features_from_json,
+    leaves_of,
+    paths_of,
+    reason_not_read,
+)
 from roboxim_datasets.rlds.loader_files import STATISTICS_FILE, loading_text
-from roboxim_datasets.rlds.tfrecord import read_record, read_records, record_positions
+from roboxim_datasets.rlds.tfrecord import SMALLEST, example_keys, read_record, read_records, record_positions
 
 INFO_FILE = "dataset_info.json"
 FEATURES_FILE = "features.json"
@@ -45,14 +59,19 @@ class RldsReader:
             raise RecorderError(_not_one(Path(path), found))
         self.path = found[0]
         try:
-            info = read_json_object(self.path / INFO_FILE)
-            self.features: RldsFeatures = features_from_json(read_json_object(self.path / FEATURES_FILE))
-            self.name: str = info["name"]
-            self.version: str = info["version"]
-            self.splits = {s["name"]: [int(n) for n in s["shardLengths"]] for s in info["splits"]}
+            info = read_json_object(file_in(self.path, INFO_FILE))
+            described = read_json_object(file_in(self.path, FEATURES_FILE))
+            self.leaves = leaves_of(described)
+            """Path to description of every feature that holds values."""
+            self.features: RldsFeatures = features_from_json(described)
+            self.name: str = str(info["name"])
+            self.version: str = str(info["version"])
+            self.splits = {str(s["name"]): [int(n) for n in s.get("shardLengths", [])] for s in info["splits"]}
             """Split to the number of episodes in each of its shards."""
             self.text = str(info.get("description", ""))
             """Description of the dataset."""
+            templates = {str(s["name"]): s.get("filepathTemplate") or _TEMPLATE for s in info["splits"]}
+            self._templates = {split: _template(text) for split, text in templates.items()}
             kinds = {str(s.get("fileFormat", info.get("fileFormat", "tfrecord"))) for s in (info, *info["splits"])}
         except (ConfigError, InvalidRequestError) as error:
             raise RecorderError(f"{self.path}: the dataset's description cannot be read: {error}") from None
@@ -60,14 +79,37 @@ class RldsReader:
             raise RecorderError(f"{self.path} is not a dataset that this reader knows: {error!r}") from None
         if kinds != {"tfrecord"}:
             raise RecorderError(f"{self.path}: files of the kind {', '.join(sorted(kinds))}; only tfrecord is read")
+        self._require_shards()
+
+    def _require_shards(self) -> None:
+        """Refuse numbers of episodes that the files cannot hold."""
+        for split, lengths in self.splits.items():
+            for index, length in enumerate(lengths):
+                path = self.shard(split, index)
+                most = path.stat().st_size // SMALLEST
+                if not 0 <= length <= most:
+                    raise RecorderError(
+                        f"{self.path / INFO_FILE} says that {path.name} holds {length} episodes; its size allows 0 to "
+                        f"{most}",
+                        ErrorCode.BAG_DAMAGED,
+                    )
 
     def count(self, split: str) -> int:
         """Count the episodes of a split; 0 when there is none of that name."""
         return sum(self.splits.get(split, []))
 
     def shard(self, split: str, index: int) -> Path:
-        """Return a shard's file."""
-        return self.path / f"{self.name}-{split}.tfrecord-{index:05d}-of-{len(self.splits[split]):05d}"
+        """Return a shard's file, which the template of its split names.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED`` when there is no such file in the dataset's folder.
+        """
+        number, count = f"{index:05d}", f"{len(self.splits[split]):05d}"
+        words = {
+            "DATASET": self.name, "SPLIT": split, "FILEFORMAT": "tfrecord", "SHARD_INDEX": number, "NUM_SHARDS": count,
+            "SHARD_X_OF_Y": f"{number}-of-{count}",
+        }  # fmt: skip
+        return file_in(self.path, _WORD.sub(lambda found: words[found[1]], self._templates[split]))
 
     def episodes(self, split: str) -> Iterator[RldsEpisode]:
         """Yield the episodes of a split in order.
@@ -120,8 +162,13 @@ class RldsReader:
     def _decoded(self, payload: bytes, path: Path) -> RldsEpisode:
         try:
             return decode_episode(payload, self.features)
-        except (ValueError, UnicodeDecodeError, IndexError) as error:
+        except (ValueError, IndexError, TypeError, OverflowError) as error:
             raise RecorderError(f"{path} holds a record that cannot be read: {error}", ErrorCode.BAG_DAMAGED) from None
+
+    def payloads(self, split: str) -> Iterator[bytes]:
+        """Yield the records of a split as they are stored."""
+        for index in range(len(self.splits[split])):
+            yield from _records(self.shard(split, index))
 
 
 class RldsDataset(Dataset):
@@ -141,13 +188,33 @@ class RldsDataset(Dataset):
 
     def read(self, split: str, index: int) -> Episode:
         """Read an episode of a split."""
-        return from_rlds(self.reader.record(split, index), self.reader.features)
+        with reading(f"{self.path}, {split}[{index}]"):
+            return from_rlds(self.reader.record(split, index), self._features)
+
+    @cached_property
+    def _features(self) -> RldsFeatures:
+        """The features; images of any size have that of the first one."""
+        features = self.reader.features
+        free = [key for key, size in features.images.items() if not all(size)]
+        if not free:
+            return features
+        first = self.reader.record(self._first_split, 0)
+        with reading(f"{self.path}, {self._first_split}[0]"):
+            sizes = {key: head_of(first.images[key][0]).size for key in free}
+        return replace(features, images={**features.images, **{k: (s.height, s.width) for k, s in sizes.items()}})
+
+    @property
+    def _first_split(self) -> str:
+        split = next(iter(self.splits), None)
+        if split is None:
+            raise RecorderError(f"{self.path} has no episodes")
+        return split
 
     def summaries(self) -> Mapping[str, Mapping[str, Sequence[float]]]:
         """Return the statistics of actions and state, as OpenVLA and Octo cache them."""
         try:
-            stored = read_json_object(self.path / STATISTICS_FILE)
-        except ConfigError:
+            stored = read_json_object(file_in(self.path, STATISTICS_FILE))
+        except (ConfigError, RecorderError):
             return {}
         names = {"action": "action", "proprio": "state"}
         return {names[key]: value for key, value in stored.items() if key in names and isinstance(value, dict)}
@@ -166,11 +233,8 @@ class RldsDataset(Dataset):
     @cached_property
     def description(self) -> Description:
         """What the features and the first episode say."""
-        features = self.reader.features
-        split = next(iter(self.splits), None)
-        if split is None:
-            raise RecorderError(f"{self.path} has no episodes")
-        first = self.reader.record(split, 0)
+        features = self._features
+        first = self.reader.record(self._first_split, 0)
         episode = from_rlds(first, features)
         keys = camera_keys(first)
         names = component_names_of(first, features)
@@ -188,7 +252,68 @@ class RldsDataset(Dataset):
             joint_names=episode.joint_names,
             semantics=episode.semantics,
             text=self.reader.text,
+            outcomes="success" in features.metadata,
         )
+
+    # -- what the files hold
+
+    def _take_stock(self, account: Account) -> None:
+        features, leaves = self.reader.features, self.reader.leaves
+        own = "action_semantics" in features.metadata
+        read = set(paths_of(features))
+        ids: Counter[str] = Counter()
+        for split in self.reader.splits:
+            account.holds("split", split)
+            if split in self.splits:
+                account.reads("split", split)
+            account.leaves_out("split", split, "it has no episodes", 1)
+            for index, payload in enumerate(self.reader.payloads(split)):
+                with reading(f"{self.path}, {split}[{index}]"):
+                    episode = decode_episode(payload, features)
+                    keys = example_keys(payload)
+                ids[str(episode.metadata.get("episode_id", ""))] += 1
+                account.holds("episode", f"{split}[{index}]")
+                for key in keys:
+                    kind: Kind = "key" if key.startswith("steps/") else "metadata"
+                    count = len(episode) if kind == "key" else 1
+                    account.holds(kind, key, count)
+                    if key in read:
+                        account.reads(kind, key, count, "" if own or kind != "key" else _changed(leaves.get(key, {})))
+                    elif key in _IMPLIED or (own and key in _OWN_IMPLIED):
+                        account.implies(kind, key, "the order of the steps", count)
+                    else:
+                        why = reason_not_read(key, leaves[key]) if key in leaves else "features.json does not name it"
+                        account.leaves_out(kind, key, why, count)
+                repeated = (
+                    "an id of an earlier episode too" if ids[str(episode.metadata.get("episode_id", ""))] > 1 else ""
+                )
+                account.reads("episode", f"{split}[{index}]", changed=repeated * ("episode_id" in episode.metadata))
+
+
+def _changed(leaf: Mapping[str, Any]) -> str:
+    dtype = str(leaf.get("tensor", {}).get("dtype", "float32"))
+    return "" if dtype in ("float32", "string") else f"{dtype}, read as float32"
+
+
+_IMPLIED = ("steps/is_first", "steps/is_last")
+_OWN_IMPLIED = ("steps/is_terminal", "steps/discount")
+_TEMPLATE = "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}"
+_WORD = re.compile(r"\{(DATASET|SPLIT|FILEFORMAT|SHARD_INDEX|NUM_SHARDS|SHARD_X_OF_Y)\}")
+
+
+def _template(text: Any) -> str:
+    """Return a template of file names of TensorFlow Datasets.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when it names something else.
+    """
+    rest = _WORD.sub("", str(text))
+    if "{" in rest or "}" in rest:
+        raise RecorderError(
+            f"unknown template of file names '{printable(text, 200)}'; expected words as in {_TEMPLATE}",
+            ErrorCode.BAG_DAMAGED,
+        )
+    return str(text)
 
 
 def _sizes(keys: Mapping[str, str], features: RldsFeatures) -> dict[str, tuple[int, int]]:

@@ -21,6 +21,8 @@ from roboxim_core.errors import ErrorCode, RecorderError
 Feature = Sequence[bytes] | npt.NDArray[np.float32] | npt.NDArray[np.int64]
 """One feature of an Example: byte strings, a float32 array or an int64 array, flat."""
 
+SMALLEST = 16
+"""Size of a record without payload [B]."""
 _BYTES_LIST, _FLOAT_LIST, _INT64_LIST = 1, 2, 3
 
 
@@ -43,12 +45,13 @@ def read_records(path: Path) -> Iterator[bytes]:
     Raises:
         RecorderError: With code ``BAG_DAMAGED`` when the file ends within a record or a checksum is wrong.
     """
+    size = path.stat().st_size
     with path.open("rb") as file:
         index = 0
         while header := file.read(12):
             if len(header) < 12 or _masked_crc(header[:8]) != struct.unpack("<I", header[8:])[0]:
                 raise _damaged(path, index)
-            payload = file.read(struct.unpack("<Q", header[:8])[0])
+            payload = file.read(min(struct.unpack("<Q", header[:8])[0], size))
             crc = file.read(4)
             if len(crc) < 4 or _masked_crc(payload) != struct.unpack("<I", crc)[0]:
                 raise _damaged(path, index)
@@ -92,7 +95,8 @@ def read_record(path: Path, position: int, index: int) -> bytes:
     with path.open("rb") as file:
         file.seek(position)
         header = file.read(12)
-        payload = file.read(struct.unpack("<Q", header[:8])[0]) if len(header) == 12 else b""
+        length = struct.unpack("<Q", header[:8])[0] if len(header) == 12 else 0
+        payload = file.read(min(length, path.stat().st_size))
         crc = file.read(4)
     if len(crc) < 4 or _masked_crc(payload) != struct.unpack("<I", crc)[0]:
         raise _damaged(path, index)
@@ -100,10 +104,7 @@ def read_record(path: Path, position: int, index: int) -> bytes:
 
 
 def _damaged(path: Path, index: int) -> RecorderError:
-    return RecorderError(
-        f"{path}: record {index} is damaged; fetch the file from its source again, or export RoboXim's bags again",
-        ErrorCode.BAG_DAMAGED,
-    )
+    return RecorderError(f"{path}: record {index} is damaged; the file is not as it was written", ErrorCode.BAG_DAMAGED)
 
 
 def _varint(value: int) -> bytes:
@@ -177,6 +178,16 @@ def _decode_feature(data: memoryview) -> Feature:
             numbers.append(number - (1 << 64) if number >> 63 else number)
         return np.array(numbers, np.int64)
     return []
+
+
+def example_keys(payload: bytes) -> list[str]:
+    """Return the names of the features of an Example.
+
+    Raises:
+        ValueError: When the payload is not an Example.
+    """
+    entries = (entry for _, container in _fields(memoryview(payload)) for _, entry in _fields(container))
+    return [bytes(dict(_fields(entry)).get(1, b"")).decode() for entry in entries]
 
 
 def decode_example(payload: bytes, keys: Iterable[str] | None = None) -> dict[str, Feature]:

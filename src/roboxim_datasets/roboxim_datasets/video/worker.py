@@ -26,6 +26,8 @@ from roboxim_datasets.video.codecs import CODECS
 from roboxim_datasets.video.messages import Header, read_message, write_message
 
 _MP4 = {"fflags": "+bitexact"}  # without the version of the library
+_MOST_PIXELS = 2**26
+_DEEP = ("gray9", "gray1")  # FFmpeg's names of grey frames of more than 8 bits
 _BT601, _LIMITED = 6, 1  # FFmpeg's numbers of the matrix and range that its RGB conversion uses
 
 
@@ -75,6 +77,13 @@ class Decoding:
     def __init__(self, path: str, *, rate: Fraction, first: int, count: int) -> None:
         self._container = av.open(path)
         self._video: Any = self._container.streams.video[0]
+        codec = self._video.codec_context
+        if codec.width * codec.height > _MOST_PIXELS:
+            raise ValueError(f"frames of {codec.width} x {codec.height} pixels; at most {_MOST_PIXELS} are read")
+        if str(codec.pix_fmt).startswith(_DEEP):
+            raise ValueError(
+                f"depth frames ({codec.pix_fmt}), expected colour; the dataset does not say that it is depth"
+            )
         self._rate, self._left, self._convert = rate, count, VideoReformatter()
         base: Any = self._video.time_base
         self._base = base

@@ -1,0 +1,170 @@
+"""Where the parts of an episode are in an HDF5 file that says nothing of it: robomimic's, robosuite's, Isaac Lab's.
+
+What most episodes have, with the same shape, is the layout. An episode that lacks a part of it is left out by name, and
+a part that most episodes lack is left out too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from roboxim_datasets.episode import ImageSize
+from roboxim_datasets.hdf5.tree import problem_of
+from roboxim_datasets.pictures import MOST_PIXELS
+
+_ACTIONS = "actions"
+_MOST_NUMBERS = 1024  # of an observation that is read as a vector
+Shape = tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Array:
+    """What is known of an array without reading it."""
+
+    length: int
+    """Number of its rows."""
+    shape: Shape
+    """Shape of a row."""
+    dtype: str
+    """Type of its values."""
+    problem: str
+    """Why its values cannot be read; empty: they can."""
+
+    @property
+    def size(self) -> int:
+        """Number of values of a row."""
+        return math.prod(self.shape)
+
+
+def arrays(leaves: Mapping[str, Any]) -> dict[str, Array]:
+    """Return what is known of the arrays of an episode, by path."""
+    found = {}
+    for path, item in leaves.items():
+        shape = (item.shape or ()) if item is not None else ()
+        found[path] = Array(
+            length=shape[0] if shape else 1,
+            shape=tuple(shape[1:]),
+            dtype=str(item.dtype) if item is not None else "",
+            problem=problem_of(item) or ("" if shape else "a single value"),
+        )
+    return found
+
+
+def reason_not_read(path: str, array: Array) -> str:
+    """Return why an array cannot be a part of an episode's steps; empty: it is an image or a vector."""
+    if array.problem:
+        return array.problem
+    if path == _ACTIONS:
+        return "" if len(array.shape) <= 1 and 0 < array.size <= _MOST_NUMBERS else f"actions of shape {array.shape}"
+    if not path.startswith("obs/"):
+        return "not an observation"
+    if len(array.shape) == 3:
+        return _reason_no_image(array)
+    if not 0 < array.size <= _MOST_NUMBERS:
+        return f"{array.size} numbers a step; at most {_MOST_NUMBERS} are read as a vector"
+    return ""
+
+
+def _reason_no_image(array: Array) -> str:
+    height, width, channels = array.shape
+    if array.dtype != "uint8":
+        return f"images of {array.dtype}; only colour images of uint8 are read"
+    if channels != 3:
+        return f"images of shape {array.shape}; only (height, width, 3) is read"
+    if not 0 < height * width <= MOST_PIXELS:
+        return f"images of {width} x {height} pixels; 1 to {MOST_PIXELS} are read"
+    return ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """What most episodes of a file have."""
+
+    shapes: Mapping[str, Shape]
+    """Path of an array that is read to the shape of its rows; ``actions`` is among them."""
+
+    @property
+    def cameras(self) -> dict[str, str]:
+        """Path of a camera's images to the camera."""
+        keys = [path for path, shape in self.shapes.items() if len(shape) == 3]
+        return _named(keys, ("_image", "_rgb"))
+
+    @property
+    def vectors(self) -> dict[str, str]:
+        """Path of an observed vector to its name."""
+        return _named([path for path, shape in self.shapes.items() if len(shape) < 3 and path != _ACTIONS], ())
+
+    def sizes(self) -> dict[str, ImageSize]:
+        """Return the size of the images by path."""
+        return {key: ImageSize(height=self.shapes[key][0], width=self.shapes[key][1]) for key in self.cameras}
+
+    def problem_of(self, found: Mapping[str, Array]) -> str:
+        """Return why an episode does not fit; empty: it does."""
+        if _ACTIONS not in found:
+            return "it has no 'actions'"
+        length = found[_ACTIONS].length
+        if not length:
+            return "it has no steps"
+        for path, shape in self.shapes.items():
+            if path not in found:
+                return f"it lacks '{path}', which most episodes have"
+            array = found[path]
+            if array.problem:
+                return f"'{path}': {array.problem}"
+            if array.shape != shape or reason_not_read(path, array):
+                return f"'{path}' holds {array.dtype} of shape {array.shape}, expected {shape}"
+            if array.length < length:
+                return f"'{path}' has {array.length} rows for {length} actions"
+        return ""
+
+
+def layout_of(episodes: Mapping[str, Mapping[str, Array]]) -> Layout:
+    """Return the layout of a file from what its episodes have; without ``actions`` if none has any."""
+    usable = [found for found in episodes.values() if _ACTIONS in found and found[_ACTIONS].length]
+    counts: Counter[tuple[str, Shape]] = Counter(
+        (path, array.shape)
+        for found in usable
+        for path, array in found.items()
+        if not reason_not_read(path, array) and array.length >= found[_ACTIONS].length
+    )
+    shapes: dict[str, Shape] = {}
+    for (path, shape), count in counts.most_common():
+        if 2 * count >= len(usable) or path == _ACTIONS:
+            shapes.setdefault(path, shape)
+    order = [path for found in usable for path in found]
+    return Layout(shapes={path: shapes[path] for path in dict.fromkeys(order) if path in shapes})
+
+
+def changed(path: str, array: Array) -> str:
+    """Return how what is read of an array differs from what it holds; empty: it does not."""
+    if path.startswith("obs/") and len(array.shape) == 3:
+        return ""
+    parts = [] if array.dtype == "float32" else [f"{array.dtype}, read as float32"]
+    if len(array.shape) > 1:
+        parts.append(f"rows of shape {array.shape}, read as {array.size} numbers")
+    return "; ".join(parts)
+
+
+def _named(paths: list[str], suffixes: tuple[str, ...]) -> dict[str, str]:
+    """Return a name for each path: without what the layout puts around it, unless two would be called the same."""
+    plain = {path: path.removeprefix("obs/").replace("/", ".") for path in paths}
+    short = dict(plain)
+    for suffix in suffixes:
+        short = {path: name.removesuffix(suffix) or name for path, name in short.items()}
+    twice = Counter(short.values())
+    return {path: short[path] if twice[short[path]] == 1 else plain[path] for path in paths}
+
+
+def finite_rate(value: Any) -> float:
+    """Return a rate that a file states [1/s]; 0: it states none."""
+    try:
+        rate = float(value)
+    except (TypeError, ValueError, OverflowError):
+        return 0.0
+    return rate if np.isfinite(rate) and rate > 0 else 0.0

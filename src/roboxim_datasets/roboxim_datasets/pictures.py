@@ -1,0 +1,83 @@
+"""Encoded pictures of a dataset, decoded after a look at what they say of themselves."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
+from roboxim_core.images import decode_image
+from roboxim_datasets.episode import ImageSize, RGBImage
+
+MOST_PIXELS = 2**26
+"""Pixels of an image: 8192 x 8192. A file of a few bytes can claim more than any memory holds."""
+MOST_COMPONENTS = 2**16
+"""Components of a vector."""
+_WIDE = ("I", "F")  # Pillow's modes of more than 8 bits a channel begin so
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureHead:
+    """What an encoded picture says of itself."""
+
+    size: ImageSize
+    """Its size."""
+    deep: bool
+    """Whether it has more than 8 bits a channel, as depth images do."""
+
+
+def head_of(data: bytes) -> PictureHead:
+    """Read the head of an encoded picture.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when it is no picture or claims more than `MOST_PIXELS`.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of its size, which is checked here
+            with Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "WEBP", "BMP", "TIFF")) as picture:
+                width, height, mode = picture.width, picture.height, picture.mode
+    except Exception as error:
+        if isinstance(error, Image.DecompressionBombError):
+            raise _bad(f"a picture claims more than {MOST_PIXELS} pixels") from None
+        raise _bad(f"{len(data)} bytes that are no picture") from None
+    if width * height > MOST_PIXELS:
+        raise _bad(f"a picture claims {width} x {height} pixels; at most {MOST_PIXELS} are read")
+    return PictureHead(size=ImageSize(height=height, width=width), deep=mode.startswith(_WIDE))
+
+
+def colour_picture(data: bytes) -> RGBImage:
+    """Decode a picture of 8 bits a channel to RGB.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when it is no picture, too large, or has more than 8 bits a channel.
+    """
+    if head_of(data).deep:
+        raise _bad("a picture of 16 bits a channel, expected a colour image of 8")
+    try:
+        return decode_image(data)
+    except InvalidRequestError as error:
+        raise _bad(str(error)) from None
+
+
+def deep_picture(data: bytes) -> np.ndarray[tuple[int, ...], np.dtype[np.uint16]]:
+    """Decode a picture of one channel of 16 bits, shape (height, width).
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when it is no such picture, or too large.
+    """
+    import cv2
+
+    head_of(data)
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if picture is None or picture.ndim != 2:
+        raise _bad("an image of depth or segmentation is damaged")
+    return np.asarray(picture, np.uint16)
+
+
+def _bad(message: str) -> RecorderError:
+    return RecorderError(message, ErrorCode.BAG_DAMAGED)
