@@ -28,7 +28,7 @@ from typing import Any
 import domain_coordinator
 
 from roboxim_core.errors import ConfigError, UnavailableError
-from roboxim_core.user_folders import runtime_dir
+from roboxim_core.user_folders import runtime_dir as runtime_dir
 from roboxim_ros.environment import clean_environment
 from roboxim_ros.shared_memory import busy_domains
 

@@ -74,10 +74,13 @@ def check_object(file: Path, max_opening_m: float = 0.08) -> tuple[tuple[Finding
         if not any(f.severity == "error" and f.message in str(error) for f in found):
             found.append(_error(str(error)))
         return _sorted(found), None
-    found += [*_masses(model, config), *_extents(model, config), *_textures(model)]
-    if not any(f.severity == "error" for f in found):
-        solid = _outside(model)
-        found += [*_grasps(model, solid, max_opening_m), *_likeness(model, solid)]
+    try:
+        found += [*_masses(model, config), *_extents(model, config), *_textures(model)]
+        if not any(f.severity == "error" for f in found):
+            solid = _outside(model)
+            found += [*_grasps(model, solid, max_opening_m), *_likeness(model, solid)]
+    except ConfigError as error:  # e.g. a shape that is too thin to have a volume
+        found.append(_error(str(error)))
     return _sorted(found), model
 
 

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     import trimesh
 
 
+LARGEST = 1e6
+"""Largest coordinate of a mesh, in the file's units."""
+
+
 def load_mesh(path: Path | str) -> trimesh.Trimesh:
     """Return a mesh file as a single mesh, in the file's units.
 
@@ -38,8 +42,8 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
         raise ConfigError(f"cannot read the mesh {path}: {type(error).__name__}: {error}") from None
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
         raise ConfigError(f"the mesh {path} has no faces")
-    if not np.isfinite(mesh.vertices).all():
-        raise ConfigError(f"the mesh {path} has a vertex that is not a finite number")
+    if not (np.abs(mesh.vertices) <= LARGEST).all():
+        raise ConfigError(f"the mesh {path} has a vertex that is not a number of at most {LARGEST:g}")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise ConfigError(f"the mesh {path} has a face of vertex {mesh.faces.max()}, of {len(mesh.vertices)} vertices")
     return mesh
