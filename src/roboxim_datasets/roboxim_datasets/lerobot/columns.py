@@ -33,7 +33,7 @@ def floats(table: pa.Table, key: str, size: int, where: str) -> Floats:
     if _is_list(values.type):
         while _is_list(values.type):
             sizes = np.asarray(pc.list_value_length(values).to_numpy(zero_copy_only=False), np.float64)
-            wrong = np.flatnonzero(sizes != sizes[0]) if len(sizes) else []
+            wrong: Any = np.flatnonzero(sizes != sizes[0]) if len(sizes) else []
             if len(wrong) or not len(sizes) or np.isnan(sizes[0]):
                 step = int(wrong[0]) * count // max(len(sizes), 1) if len(wrong) else 0
                 raise damaged(f"{where}: '{key}' has another number of values at step {step} than before")

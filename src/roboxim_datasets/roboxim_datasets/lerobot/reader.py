@@ -543,7 +543,7 @@ class LeRobotDataset(Dataset):
 
     def _changed(self, key: str) -> str:
         dtype = str(self._features[key]["dtype"])
-        return "" if dtype in ("float32", "image", "video") else f"{dtype}, read as float32"
+        return "" if dtype in ("float32", "image", "video") or key == "next.success" else f"{dtype}, read as float32"
 
     def _not_finite(self) -> str:
         """Return which episodes have numbers that are not finite."""

@@ -393,7 +393,7 @@ def decode_episode(payload: bytes, features: RldsFeatures) -> RldsEpisode:
         reward=reward,
         metadata=metadata,
     )
-    parts = {**episode.images, **episode.vectors, **episode.signals, "reward": reward}
+    parts: dict[str, Any] = {**episode.images, **episode.vectors, **episode.signals, "reward": reward}
     for name, values in parts.items():
         if len(values) != len(action) or (name in episode.images and not isinstance(values, list)):
             raise ValueError(f"'{name}' has {len(values)} steps, expected {len(action)} as the action")

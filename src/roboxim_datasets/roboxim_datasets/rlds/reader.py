@@ -285,7 +285,9 @@ class RldsDataset(Dataset):
                         why = reason_not_read(key, leaves[key]) if key in leaves else "features.json does not name it"
                         account.leaves_out(kind, key, why, count)
                 repeated = (
-                    "an id of an earlier episode too" if ids[str(episode.metadata.get("episode_id", ""))] > 1 else ""
+                    "its id is that of an earlier episode too"
+                    if ids[str(episode.metadata.get("episode_id", ""))] > 1 and episode.metadata.get("episode_id") != ""
+                    else ""
                 )
                 account.reads("episode", f"{split}[{index}]", changed=repeated * ("episode_id" in episode.metadata))
 
