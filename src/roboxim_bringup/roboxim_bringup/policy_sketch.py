@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
+from scipy.spatial.transform import Rotation
 
 from roboxim_core.cameras import project
 from roboxim_core.models.library import ModelLibrary
@@ -71,7 +72,7 @@ class Sketch:
         scale = np.array(size) / (camera.width, camera.height)
 
         def seen(point: Floats) -> tuple[float, float] | None:
-            place = optical @ (self._base @ Pose(position=tuple(float(number) for number in point)))
+            place = optical @ (self._base @ Pose.from_arrays(point, Rotation.identity()))
             if place.position[2] < NEAREST_M:
                 return None
             u, v = project(camera, [place.position])[0] * scale

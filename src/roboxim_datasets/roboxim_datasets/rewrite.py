@@ -246,7 +246,12 @@ def _checked(episode: Episode, where: str) -> Episode:
     def steps(wanted: Wanted) -> Iterator[Step]:
         with reading(where):
             for step in read(wanted):
-                numbers = {"the action": step.action, "the reward": step.reward, **step.proprio, **step.signals}
+                numbers: dict[str, Any] = {
+                    "the action": step.action,
+                    "the reward": step.reward,
+                    **step.proprio,
+                    **step.signals,
+                }
                 if step.action_executed is not None:
                     numbers["the executed action"] = step.action_executed
                 for name, values in numbers.items():

@@ -98,8 +98,8 @@ class ObjectConfig:
             raise ConfigError(f"mesh_scale is the scale of `mesh`, which the object does not have: {where}")
         if self.mass and self.links:
             raise ConfigError("`mass` is that of an object of a mesh or a urdf: give each of the links its mass")
-        if (where := _unbounded(self)) is not None:
-            raise ConfigError(f"{where} is not a number of at most {LARGEST:g}")
+        if (part := _unbounded(self)) is not None:
+            raise ConfigError(f"{part} is not a number of at most {LARGEST:g}")
         for kind, modifier in self.modifiers.items():
             modifier.check_itself(kind)
         for affordance in self.affordances:

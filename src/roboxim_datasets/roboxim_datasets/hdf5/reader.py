@@ -136,8 +136,8 @@ class Hdf5Dataset(Dataset):
             elif members is None:
                 lost[mask] = "not a list of names"
         for split in _ORDER:
-            members = self._masks.get(masks.get(split, "")) or ()
-            found[split] = [name for name in read if name in members and name not in taken]
+            named = self._masks.get(masks.get(split, "")) or set()
+            found[split] = [name for name in read if name in named and name not in taken]
             taken |= set(found[split])
         rest = [name for name in read if name not in taken]
         if masks.get("train") in lost or "train" not in masks or not taken:

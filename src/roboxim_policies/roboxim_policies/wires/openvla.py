@@ -155,12 +155,7 @@ class OpenVlaWire(Wire):
         extra: dict[str, Any] = {"unnorm_key": self._unnorm_key} if self._unnorm_key else {}
         if OWN_SERVER in request:  # one session for each client
             extra[OWN_SERVER] = {**request[OWN_SERVER], "client": self._client}
-        status, data = self._exchange("POST", self._path, encode({**request, **extra}, double=self._double), deadline)
-        if status in GATEWAY:
-            raise died(f"{self.server} cannot be reached: HTTP status {status} of a gateway before it")
-        if status != 200:
-            raise fault(f"{self.server} answered HTTP status {status}: {quoted(data[:2000].decode(errors='replace'))}")
-        reply = decode(data)
+        reply = decode(self._post(encode({**request, **extra}, double=self._double), deadline))
         if isinstance(reply, str) and reply == "error":
             raise fault(
                 f"{self.server} answered 'error'; its own log says why. Usual causes: a wrong or missing unnorm_key, "
@@ -174,6 +169,19 @@ class OpenVlaWire(Wire):
                 raise invalid(f"{what} have different sizes: {echo([list(row.shape) for row in reply])}")
             reply = np.stack(reply)
         return {"actions": rows_of(reply, what)}
+
+    def _post(self, body: bytes, deadline: Deadline) -> bytes:
+        """Post a request; return the body of the reply.
+
+        Raises:
+            PolicyError: When the server cannot be reached, or answers another status than 200.
+        """
+        status, data = self._exchange("POST", self._path, body, deadline)
+        if status in GATEWAY:
+            raise died(f"{self.server} cannot be reached: HTTP status {status} of a gateway before it")
+        if status != 200:
+            raise fault(f"{self.server} answered HTTP status {status}: {quoted(data[:2000].decode(errors='replace'))}")
+        return data
 
     def _exchange(self, method: str, path: str, body: bytes, deadline: Deadline) -> tuple[int, bytes]:
         """Send a request; return status and body of the reply, both within the deadline and the bound of a message."""
