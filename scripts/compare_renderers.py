@@ -12,12 +12,12 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw
 
 from render_scene import example_poses, example_scene
-from roboxim_bringup.runs.rerendering import Lighting
-from roboxim_core.cameras import load_camera
 from roboxim_core.config import load_config, named_config
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
 from roboxim_core.specs import CameraSpec, LookSpec, SceneSpec
+from roboxim_core.vision.cameras import load_camera
+from roboxim_runs.episodes.rerendering import Lighting
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.camera_effects import draw_frames
 

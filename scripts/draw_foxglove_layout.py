@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
-from roboxim_ros.conversions import image_from_msg
+from roboxim_ros.messages.conversions import image_from_msg
 
 LAYOUT = Path(__file__).parents[1] / "config" / "foxglove" / "run.json"
 LARGEST_M = 0.04

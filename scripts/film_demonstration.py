@@ -15,10 +15,10 @@ import yaml
 from PIL import Image
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.runs.caption import captioned
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_recorder.bag import BagReader
+from roboxim_runs.episodes.caption import captioned
+from roboxim_runs.episodes.task_choice import task_text
 
 FILE = Path(__file__).parents[1] / "docs" / "images" / "demonstration.webp"
 SIZE = 320

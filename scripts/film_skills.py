@@ -20,12 +20,12 @@ import numpy.typing as npt
 from PIL import Image
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.runs.caption import captioned
-from roboxim_bringup.task_choice import task_text
-from roboxim_core.cameras import project
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.specs import CameraSpec
+from roboxim_core.vision.cameras import project
 from roboxim_recorder.bag import BagReader, BagTick
+from roboxim_runs.episodes.caption import captioned
+from roboxim_runs.episodes.task_choice import task_text
 from roboxim_tasks.roles import task_objects
 from roboxim_tasks.skills import SKILLS
 

@@ -22,8 +22,6 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from roboxim_bringup.environments.session import EpisodeSession, SessionConfig
-from roboxim_core.cameras import load_camera
 from roboxim_core.config_folders import config_names
 from roboxim_core.conventions import (
     ControllerResponse,
@@ -39,9 +37,11 @@ from roboxim_core.models.visuals import ScenePoses, render_world
 from roboxim_core.policies import Observation, ObservationWindow
 from roboxim_core.poses import Pose
 from roboxim_core.proprioception import Proprioception
-from roboxim_core.rotations import RotationRepresentation, encode
+from roboxim_core.rotation.representations import RotationRepresentation, encode
 from roboxim_core.specs import EntitySpec, SceneSpec, TableSpec
 from roboxim_core.state import RobotState
+from roboxim_core.vision.cameras import load_camera
+from roboxim_runs.environments.session import EpisodeSession, SessionConfig
 from roboxim_sim.rendering import make_renderer
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -9,9 +9,9 @@ from roboxim_bringup.testing import graph, graph_parameters  # noqa: F401
 def expert_bag(tmp_path_factory):
     """Return a function that records a successful episode of the expert, and returns its bag, result and ticks."""
     from roboxim_bringup.core_graph import CoreGraph
-    from roboxim_bringup.task_choice import task_text
     from roboxim_core.episode import EpisodeRunner, RunConfig
     from roboxim_recorder.bag import BagReader
+    from roboxim_runs.episodes.task_choice import task_text
 
     def record(*, seed, index=0, size):
         folder = tmp_path_factory.mktemp("expert")

@@ -351,7 +351,7 @@ def _episode_info(task: Any, scene: Any) -> Any:
     from roboxim_core.actions import ActionSemantics
     from roboxim_core.episode import EpisodeInfo
     from roboxim_core.specs import SceneSpec, TaskSpec
-    from roboxim_ros.conversions import from_msg, to_msg
+    from roboxim_ros.messages.conversions import from_msg, to_msg
 
     info = EpisodeInfo(
         episode_id="fuzz", run_seed=1, purpose="test", index=0, attempt=0, task=from_msg(task, TaskSpec),

@@ -9,10 +9,10 @@ import yaml
 
 from roboxim_bringup.core_graph import CoreActor, CoreGraph
 from roboxim_bringup.cores import CorePlanner
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.models.library import ModelLibrary
-from roboxim_tasks.expert import Expert
+from roboxim_runs.episodes.task_choice import task_text
+from roboxim_tasks.demonstration.expert import Expert
 
 
 @pytest.mark.parametrize("task", ["pick_up_blocked", "place_on_blocked"])

@@ -5,9 +5,9 @@ import pytest
 pytest.importorskip("rclpy")
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_recorder.bag import BagReader
+from roboxim_runs.episodes.task_choice import task_text
 from roboxim_tasks.config import parse_task_config
 
 

@@ -7,7 +7,6 @@ pytest.importorskip("rclpy")
 
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.cores import CorePlanner
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.actions.rows import ArmTrack
 from roboxim_core.config_folders import config_names
@@ -17,7 +16,8 @@ from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import ActionChunk
 from roboxim_policies import BasePolicy
-from roboxim_tasks.expert import Expert
+from roboxim_runs.episodes.task_choice import task_text
+from roboxim_tasks.demonstration.expert import Expert
 
 EPISODES = 1
 CONFIG = RunConfig(run_seed=11, purpose="eval", task_config=task_text("pick_cube"), cameras=(), output_dir="")

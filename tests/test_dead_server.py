@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
-from roboxim_bringup.runs.events import EpisodeFinished, Notice
-from roboxim_bringup.runs.folder import RunFolder
-from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_core.errors import UnavailableError
+from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
+from roboxim_runs.events import EpisodeFinished, Notice
+from roboxim_runs.policies.specs import PolicySpec
+from roboxim_runs.storage.folder import RunFolder
 
 pytestmark = pytest.mark.slow
 EPISODES, STEPS = 5, 25

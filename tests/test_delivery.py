@@ -9,20 +9,6 @@ import pytest
 import yaml
 
 from roboxim_bringup.core_graph import CoreActor, CoreGraph
-from roboxim_bringup.experiment_files import load_experiment
-from roboxim_bringup.runs.delivery_demands import demands_of
-from roboxim_bringup.runs.delivery_reader import DeliveryReader
-from roboxim_bringup.runs.export import ExportConfig, export_rlds
-from roboxim_bringup.runs.proving import (
-    ArmClaim,
-    DatasetClaim,
-    Reading,
-    prove_evaluation,
-    prove_trained_on,
-    prove_training,
-)
-from roboxim_bringup.runs.reenactment import Recorded, Reenactor
-from roboxim_bringup.runs.training import name_dataset
 from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import SimError
@@ -30,15 +16,29 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_core.poses import Pose
 from roboxim_eval.experiments.cells import mix_of
-from roboxim_eval.experiments.changes import changed_parts
 from roboxim_eval.experiments.design import design_of
-from roboxim_eval.experiments.proofs import Tally, Trained, tally, training_tally
+from roboxim_eval.experiments.proving.changes import changed_parts
+from roboxim_eval.experiments.proving.proofs import Tally, Trained, tally, training_tally
 from roboxim_policies.builtin import ZeroPolicy
 from roboxim_policies.reworded import RewordedPolicy
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.edited import copy_edited
 from roboxim_recorder.run_bags import list_bags
+from roboxim_runs.datasets.export import ExportConfig, export_rlds
+from roboxim_runs.episodes.reenactment import Recorded, Reenactor
+from roboxim_runs.experiments.delivery.demands import demands_of
+from roboxim_runs.experiments.delivery.proving import (
+    ArmClaim,
+    DatasetClaim,
+    Reading,
+    prove_evaluation,
+    prove_trained_on,
+    prove_training,
+)
+from roboxim_runs.experiments.delivery.reader import DeliveryReader
+from roboxim_runs.experiments.files import load_experiment
+from roboxim_runs.training.run import name_dataset
 
 CELL = "pick_up target=cube"
 MIX = {

@@ -19,8 +19,8 @@ from pathlib import Path
 import click
 import pytest
 
-from roboxim_bringup.cli import group
-from roboxim_bringup.commands import demo
+from roboxim_cli.commands.stages import demo
+from roboxim_cli.main import group
 from roboxim_core.errors import ConfigError
 from roboxim_ros.testing import PATIENCE_S
 

@@ -13,8 +13,8 @@ from gymnasium.utils.env_checker import check_env
 
 pytest.importorskip("rclpy")
 
-from roboxim_bringup.environments.gymnasium_env import RoboXimEnv
-from roboxim_bringup.environments.serving import EnvironmentServer
+from roboxim_runs.environments.gymnasium_env import RoboXimEnv
+from roboxim_runs.environments.serving import EnvironmentServer
 
 PLUGIN = Path(__file__).parents[1] / "plugins/lerobot_env_roboxim"
 

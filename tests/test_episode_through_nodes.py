@@ -15,9 +15,9 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.recorded import RECORDED_PARAMETERS
 from roboxim_eval.node import versions
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.check import check_bag
+from roboxim_recorder.integrity.check import check_bag
 from roboxim_ros.actions import ActionCall
-from roboxim_ros.conversions import from_msg, to_msg
+from roboxim_ros.messages.conversions import from_msg, to_msg
 from roboxim_ros.testing import PATIENCE_S
 
 pytestmark = pytest.mark.ros

@@ -39,9 +39,9 @@ image_size: 64x64
 ROBOXIM = (str(Path(sys.executable).with_name("roboxim")),)
 KILLS_ITSELF = """
 import os, signal, sys
-from roboxim_bringup.cli import main
-from roboxim_bringup.printer import EventPrinter
-from roboxim_bringup.runs.events import StageProgress, StageStarted
+from roboxim_cli.main import main
+from roboxim_cli.printer import EventPrinter
+from roboxim_runs.events import StageProgress, StageStarted
 
 title, stage, show = sys.argv.pop(1), [], EventPrinter.__call__
 

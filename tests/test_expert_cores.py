@@ -15,10 +15,10 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import EntitySpec
 from roboxim_sim.world import World
 from roboxim_tasks.config import load_task_config, parse_task_config
-from roboxim_tasks.episodes import EpisodeGenerator
-from roboxim_tasks.expert import Expert
+from roboxim_tasks.demonstration.expert import Expert
+from roboxim_tasks.demonstration.solvable import Solvability
 from roboxim_tasks.judging import Judge
-from roboxim_tasks.solvable import Solvability
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
 
 NOISE = np.array([0.004] * 3 + [0.01] * 3 + [0.0])
 

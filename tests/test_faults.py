@@ -29,12 +29,12 @@ from roboxim_eval import ports
 from roboxim_policies import BasePolicy
 from roboxim_policies.node import PolicyNode
 from roboxim_recorder.bag_writer import McapFile
-from roboxim_recorder.check import check_bag
+from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.run_bags import list_bags
 from roboxim_ros.actions import ActionCall
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.host import NodeHost
+from roboxim_ros.messages.conversions import from_msg, to_msg
 from roboxim_ros.runs import activate_transport, free_domain
 from roboxim_ros.testing import PATIENCE_S, eventually
 
@@ -333,7 +333,7 @@ def test_an_unwritable_folder_is_a_disk_error(tmp_path):
     words = [
         sys.executable,
         "-m",
-        "roboxim_bringup",
+        "roboxim_cli",
         "generate",
         "--episodes",
         "1",

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_datasets.compare import compare, comparison_text
 from roboxim_datasets.formats import FORMATS, open_dataset
 from roboxim_datasets.rewrite import plan_of, write_dataset
 from roboxim_recorder.export import EXPORTERS, export_bags
+from roboxim_runs.episodes.task_choice import task_text
 
 TASKS = ("pick_cube", "place_on", "open_drawer")
 

@@ -13,13 +13,13 @@ import pytest
 from rosbags.interfaces import Nodetype
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.config import config_dir
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.check import check_bag
-from roboxim_ros.schemas import message_schema, typestore
+from roboxim_recorder.integrity.check import check_bag
+from roboxim_ros.messages.schemas import message_schema, typestore
+from roboxim_runs.episodes.task_choice import task_text
 from roboxim_sim.tick_messages import KINDS
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "foxglove_layouts.py"

@@ -19,13 +19,13 @@ import pytest
 import trimesh
 import yaml
 
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.config import config_dir, load_config
 from roboxim_core.conventions.convention import load_convention
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.check import check_object
 from roboxim_core.models.hulls import hull_of
 from roboxim_core.models.urdf import urdf_object
+from roboxim_runs.episodes.task_choice import task_text
 
 FEW, MANY = 100, 2000
 ODD = ("", "nan", "-1", "1e999", "0", "x" * 300, "\u00e4\u2028", "[]", "null", "${a}", "1,5", "../..")

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_recorder.bag import BagReader
+from roboxim_runs.episodes.task_choice import task_text
 
 GOLDEN = Path(__file__).with_name("golden.json")
 EPISODES = {

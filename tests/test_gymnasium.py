@@ -13,9 +13,9 @@ from gymnasium.utils.env_checker import check_env
 
 pytest.importorskip("rclpy")
 
-from roboxim_bringup.environments.session import EpisodeSession, SessionConfig
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError, EvaluationError, PolicyError
+from roboxim_runs.environments.session import EpisodeSession, SessionConfig
 
 NAME = "roboxim:roboxim/PickCube-v0"
 
@@ -75,7 +75,7 @@ def test_running_out_of_actions_truncates_and_a_wrong_action_is_named():
 
 
 def test_every_task_has_an_id_and_nothing_is_drawn_before_the_first_reset(monkeypatch):
-    monkeypatch.setattr("roboxim_bringup.environments.session.CoreGraph", lambda *_, **__: pytest.fail("drawn"))
+    monkeypatch.setattr("roboxim_runs.environments.session.CoreGraph", lambda *_, **__: pytest.fail("drawn"))
     ids = [name for name in gymnasium.registry if name.startswith("roboxim/")]
     assert len(ids) == len(config_names("tasks"))
     ur5 = gymnasium.make("roboxim:roboxim/PickCubeUr5-v0", control="joint_velocity")

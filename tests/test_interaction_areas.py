@@ -14,8 +14,8 @@ from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
 from roboxim_tasks.components.interaction_area import AREAS
 from roboxim_tasks.config import load_task_config
-from roboxim_tasks.episodes import EpisodeGenerator
-from roboxim_tasks.solvable import Solvability
+from roboxim_tasks.demonstration.solvable import Solvability
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,6 @@ import pytest
 pytest.importorskip("rclpy")
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import from_json, to_json
 from roboxim_core.episode import EpisodeRunner, RunConfig
@@ -19,6 +18,7 @@ from roboxim_policies.builtin import ReplayPolicy
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.export.rlds import export_rlds
 from roboxim_recorder.replay import replay
+from roboxim_runs.episodes.task_choice import task_text
 from roboxim_sim.world import Snapshot
 
 MODES = {

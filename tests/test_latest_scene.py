@@ -11,7 +11,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_planner.node import PlannerNode
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import fill_pose, to_msg
+from roboxim_ros.messages.conversions import fill_pose, to_msg
 from roboxim_ros.testing import graph_host  # noqa: F401
 from roboxim_sim.node import SimNode
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roboxim_bringup.runs.folder import RunFolder
-from roboxim_recorder.check import check_bag
+from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.run_bags import list_bags
 from roboxim_ros.testing import PATIENCE_S
+from roboxim_runs.storage.folder import RunFolder
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(3600)]
 EPISODES = 6
@@ -22,7 +22,7 @@ EPISODES = 6
 
 def roboxim(*arguments):
     return subprocess.Popen(
-        [sys.executable, "-m", "roboxim_bringup", *map(str, arguments)],
+        [sys.executable, "-m", "roboxim_cli", *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -36,7 +36,7 @@ def generate(out, workers):
 def worker_pids(parent):
     children = Path(f"/proc/{parent}/task").glob("*/children")
     pids = [int(pid) for path in children for pid in path.read_text().split()]
-    return [pid for pid in pids if b"roboxim_bringup.executors.worker" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    return [pid for pid in pids if b"roboxim_runs.executors.worker" in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
 def wait_for_results(out, count, process):

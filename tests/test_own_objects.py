@@ -13,15 +13,15 @@ from click.testing import CliRunner
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from roboxim_bringup.asset_check import check, simplify, starter
-from roboxim_bringup.commands.assets import command
+from roboxim_cli.commands.assets import command
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
 from roboxim_core.poses import Pose, look_at
-from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
+from roboxim_core.vision.renderer import CameraImages
 from roboxim_planner.scene import PlanningScene
+from roboxim_runs.assets.check import check, simplify, starter
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.world import World
 
@@ -135,7 +135,7 @@ def test_a_mesh_with_a_texture_is_simulated_drawn_and_avoided(library: ModelLibr
 def test_the_planner_collides_with_a_mesh_in_millimetres(library: ModelLibrary) -> None:
     import coal
 
-    from roboxim_planner.geometry import make_shape
+    from roboxim_planner.collisions.geometry import make_shape
 
     brick((60.0, 40.0, 30.0), image=False).export(folder(library) / "brick.stl")
     text = GOOD.replace("brick.glb", "brick.stl").replace("mass:", "mesh_scale: 0.001\nmass:")

@@ -11,7 +11,7 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec
 from roboxim_sim.world import World
 from roboxim_tasks.config import parse_task_config
-from roboxim_tasks.episodes import EpisodeGenerator
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
 
 LIBRARY = ModelLibrary()
 CUBE_KG = LIBRARY.object("cube").links[0].mass

@@ -7,15 +7,15 @@ import pytest
 import yaml
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.planted_policy import PlantedPolicy
-from roboxim_bringup.runs.experiment import ExperimentRunConfig, run_experiment
-from roboxim_bringup.runs.policies import PolicySpec
-from roboxim_bringup.runs.substitution import satisfied
 from roboxim_core.config import load_yaml, named_config
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import SimError
-from roboxim_core.merging import merged
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.plain_data.merging import merged
+from roboxim_runs.experiments.delivery.substitution import satisfied
+from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment
+from roboxim_runs.policies.planted import PlantedPolicy
+from roboxim_runs.policies.specs import PolicySpec
 
 pytestmark = pytest.mark.slow
 
@@ -78,7 +78,7 @@ def test_the_policy_does_what_was_planted_and_its_bag_shows_it(tmp_path, options
 
 
 def planted(**options):
-    return PolicySpec(spec="roboxim_bringup.planted_policy:PlantedPolicy", options=options)
+    return PolicySpec(spec="roboxim_runs.policies.planted:PlantedPolicy", options=options)
 
 
 def with_data(folder, text):

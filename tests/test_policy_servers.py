@@ -7,10 +7,10 @@ import signal
 
 import pytest
 
-from roboxim_bringup.executors import LocalExecutor
-from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
-from roboxim_bringup.runs.events import EpisodeFinished, Notice
-from roboxim_bringup.testing import recordings, repeatable_results
+from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
+from roboxim_runs.events import EpisodeFinished, Notice
+from roboxim_runs.executors import LocalExecutor
+from roboxim_runs.testing import recordings, repeatable_results
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

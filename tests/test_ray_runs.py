@@ -10,12 +10,12 @@ import time
 
 import pytest
 
-from roboxim_bringup.executors.ray_cluster import RayExecutor
-from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
-from roboxim_bringup.runs.events import EpisodeFinished, Notice
-from roboxim_bringup.runs.generation import GenerationConfig, generate
-from roboxim_bringup.testing import add_ray_node, ray_cluster, recordings, repeatable_results
 from roboxim_ros.testing import PATIENCE_S
+from roboxim_runs.episodes.generation import GenerationConfig, generate
+from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
+from roboxim_runs.events import EpisodeFinished, Notice
+from roboxim_runs.executors.ray_cluster import RayExecutor
+from roboxim_runs.testing import add_ray_node, ray_cluster, recordings, repeatable_results
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -72,7 +72,7 @@ def test_a_killed_driver_or_cluster_is_continued_by_the_same_command(cluster, tm
     def command(address):
         words = ["generate", "--out", out, "--episodes", EPISODES, "--size", 32, "--renderer", "tiny", "--workers", 2]
         words += ["--executor", "ray", "--address", address]
-        return [sys.executable, "-m", "roboxim_bringup", *map(str, words)]
+        return [sys.executable, "-m", "roboxim_cli", *map(str, words)]
 
     environment = {**os.environ, "RAY_gcs_rpc_server_reconnect_timeout_s": "5"}
     driver = subprocess.Popen(command(cluster.address), env=environment)
@@ -99,7 +99,7 @@ def test_a_killed_driver_or_cluster_is_continued_by_the_same_command(cluster, tm
 
 def test_bags_of_a_cluster_can_go_to_a_store(cluster, tmp_path):
     pytest.importorskip("fsspec")
-    from roboxim_bringup.runs.store import local_sources
+    from roboxim_runs.storage.store import local_sources
 
     url = f"file://{tmp_path}/store"
     config = GenerationConfig(out=tmp_path / "ray", episodes=2, workers=2, store=url, **SMALL)

@@ -13,11 +13,6 @@ import numpy as np
 import pytest
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.expert_episode import expert_episode
-from roboxim_bringup.known_answers import PlayingServer, in_convention, play_expert
-from roboxim_bringup.policy_check import ASKED, check_policy, save_sheet
-from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
-from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config_folders import config_names
 from roboxim_core.conventions import load_convention
@@ -28,6 +23,11 @@ from roboxim_policies import BasePolicy, load_policy
 from roboxim_policies.remote import RemotePolicy
 from roboxim_policies.serving import policy_server
 from roboxim_policies.wires.openpi import OpenPiWire
+from roboxim_runs.episodes.expert_episode import expert_episode
+from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
+from roboxim_runs.policies.dry_run import ASKED, check_policy, save_sheet
+from roboxim_runs.policies.known_answers import PlayingServer, in_convention, play_expert
+from roboxim_runs.policies.specs import PolicySpec
 
 
 class Seeing(BasePolicy):
@@ -198,7 +198,7 @@ def checked(convention, changed):
 def test_policy_check_ends_with_1_when_something_looks_wrong(tmp_path):
     with policy_server(lambda: load_policy("zero"), "openpi", port=0) as server:
         options = [f"--option=url={server.url}", "--option=convention=server", "--option=version=zero"]
-        command = [sys.executable, "-m", "roboxim_bringup", "policy", "check", "--policy", "openpi", *options]
+        command = [sys.executable, "-m", "roboxim_cli", "policy", "check", "--policy", "openpi", *options]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert "suspicious  the arm does not move" in done.stdout, done.stderr
     assert done.returncode == 1

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.runs.export import REPLAY_FILE, export_dataset
-from roboxim_bringup.runs.reexecution import CoreJudge, PhysicsSim, rejudge
-from roboxim_bringup.runs.replay_gate import replay_dataset, replay_episode, spread
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.actions import ActionContext, ActionSemantics, ActionTransform
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
 from roboxim_datasets.formats import open_dataset
 from roboxim_recorder.bag import BagReader, mcap_file
-from roboxim_recorder.check import check_bag
 from roboxim_recorder.export import EXPORTERS
-from roboxim_recorder.repair import OUTCOME_UNKNOWN, repair_bag
+from roboxim_recorder.integrity.check import check_bag
+from roboxim_recorder.integrity.repair import OUTCOME_UNKNOWN, repair_bag
+from roboxim_runs.datasets.export import REPLAY_FILE, export_dataset
+from roboxim_runs.datasets.replay_gate import replay_dataset, replay_episode, spread
+from roboxim_runs.episodes.reexecution import CoreJudge, PhysicsSim, rejudge
+from roboxim_runs.episodes.task_choice import task_text
 
 
 @pytest.fixture(scope="module")

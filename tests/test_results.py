@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from roboxim_bringup.runs.benchmark import benchmark_warnings
-from roboxim_bringup.runs.experiment_report import card_warnings
 from roboxim_eval.benchmark import check_benchmark_card
 from roboxim_eval.benchmark.card import is_benchmark_card
 from roboxim_eval.experiments.card_checks import check_card
 from roboxim_eval.report.markdown import benchmark_markdown, experiment_markdown
+from roboxim_runs.experiments.benchmark import benchmark_warnings
+from roboxim_runs.experiments.report import card_warnings
 
 CARDS = sorted((Path(__file__).parents[1] / "docs/results").glob("*/card.json"))
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from roboxim_bringup.runs.generation import GenerationConfig, generate
-from roboxim_bringup.testing import recordings
+from roboxim_runs.episodes.generation import GenerationConfig, generate
+from roboxim_runs.testing import recordings
 
 TEXT = (Path(__file__).parents[1] / "docs" / "scale.md").read_text()
 ROBOXIM = str(Path(sys.executable).parent / "roboxim")

@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import pytest
 
-from roboxim_bringup.asset_check import check
 from roboxim_bringup.core_graph import CoreGraph, CoreTasks
 from roboxim_core.actions import hold_action
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose, distance
 from roboxim_core.specs import EntitySpec, RobotSpec, SceneSpec
+from roboxim_runs.assets.check import check
 from roboxim_sim.world import World
 from roboxim_tasks.measures import Conditions, stayed
-from roboxim_tasks.placement import turned
+from roboxim_tasks.sampling.placement import turned
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.skills.base import register
 

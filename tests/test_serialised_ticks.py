@@ -15,13 +15,13 @@ from roboxim_core.actions import hold_action
 from roboxim_core.episode import EpisodeStep
 from roboxim_core.errors import RoboximError
 from roboxim_core.poses import Pose
-from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
 from roboxim_core.verdicts import Verdict
+from roboxim_core.vision.renderer import CameraImages
 from roboxim_recorder.cdr import message_layout
-from roboxim_ros.conversions import image_from_msg, to_msg
-from roboxim_ros.schemas import message_schema
-from roboxim_ros.serialising import to_cdr
+from roboxim_ros.messages.conversions import image_from_msg, to_msg
+from roboxim_ros.messages.schemas import message_schema
+from roboxim_ros.messages.serialising import to_cdr
 from roboxim_sim.conversions import camera_kind, camera_msgs
 from roboxim_sim.tick_messages import KINDS, NOTICE, TickMessages
 from roboxim_sim.world import World

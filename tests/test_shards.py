@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from roboxim_bringup.runs.datasets import merge_datasets
-from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
-from roboxim_bringup.runs.export import export_rlds
-from roboxim_bringup.runs.generation import GenerationConfig, generate
-from roboxim_bringup.runs.merging import merge_shards
-from roboxim_bringup.testing import recordings, repeatable_results
 from roboxim_recorder.export.rlds import ExportConfig
+from roboxim_runs.datasets.export import export_rlds
+from roboxim_runs.datasets.rewriting import merge_datasets
+from roboxim_runs.episodes.generation import GenerationConfig, generate
+from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
+from roboxim_runs.storage.merging import merge_shards
+from roboxim_runs.testing import recordings, repeatable_results
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

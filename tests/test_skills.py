@@ -11,13 +11,13 @@ import yaml
 from scipy.stats import binomtest
 
 from roboxim_bringup.core_graph import CoreActor, CoreGraph, CoreTasks
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.config import config_dir
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import ActionChunk
 from roboxim_policies.builtin import RandomPolicy, ZeroPolicy
 from roboxim_recorder.bag import BagReader
+from roboxim_runs.episodes.task_choice import task_text
 from roboxim_tasks.skills import SKILLS
 
 SKILL_NAMES = sorted(SKILLS)

@@ -6,7 +6,6 @@ import pytest
 pytest.importorskip("rclpy")
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.models.library import ModelLibrary
@@ -14,6 +13,7 @@ from roboxim_core.proprioception import STATE_NAMES, Proprioception
 from roboxim_datasets.rlds import RldsReader
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.export.rlds import ExportConfig, export_rlds
+from roboxim_runs.episodes.task_choice import task_text
 
 TASKS = ("rotate", "turn_upright", "put_into", "open_drawer", "pick_cube")
 FINGER_SPEED_M_S = 0.25

@@ -6,8 +6,8 @@ from collections import Counter
 
 import pytest
 
-from roboxim_bringup.trial_runs import TrialRuns
 from roboxim_core.registry import Registry
+from roboxim_runs.evaluation.trials import TrialRuns
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.trials import TRIALS, Trial, base, missing_trials
 

@@ -14,11 +14,11 @@ from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import CameraSpec, EntitySpec, LookSpec, PhysicalObject, SceneSpec, TaskSpec
 from roboxim_tasks.config import load_task_config
-from roboxim_tasks.episodes import EpisodeGenerator
+from roboxim_tasks.demonstration.solvable import state_at_rest
 from roboxim_tasks.ports import SegmentationClient
-from roboxim_tasks.solvable import state_at_rest
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
+from roboxim_tasks.sampling.visible import Visibility
 from roboxim_tasks.task_config import VisibleConfig
-from roboxim_tasks.visible import Visibility
 
 DOWN = Pose(position=(0.5, 0.0, 1.0), quat_xyzw=(0.7071067811865476, -0.7071067811865476, 0.0, 0.0))
 """From one metre above the table, looking down; the image's right is the world's -y."""

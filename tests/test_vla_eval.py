@@ -12,8 +12,6 @@ from vla_eval.cli.smoke import _make_echo_server
 from vla_eval.model_servers.predict import PredictModelServer
 
 from roboxim.vla_eval import RoboXimBenchmark
-from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
-from roboxim_bringup.runs.policies import PolicySpec
 from roboxim_core.actions import Chunking
 from roboxim_core.conventions import load_convention
 from roboxim_core.errors import ConfigError, InvalidRequestError
@@ -21,6 +19,8 @@ from roboxim_core.policies import CameraRequirement
 from roboxim_policies import BasePolicy, load_policy
 from roboxim_policies.builtin import ReplayPolicy
 from roboxim_policies.serving import policy_server
+from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
+from roboxim_runs.policies.specs import PolicySpec
 
 
 class Actions(PredictModelServer):

@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-from roboxim_bringup.asset_check import check
 from roboxim_bringup.core_graph import CoreActor, CoreGraph
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.models.library import ModelLibrary
 from roboxim_policies.builtin import ZeroPolicy
 from roboxim_recorder.bag import BagReader
+from roboxim_runs.assets.check import check
+from roboxim_runs.episodes.task_choice import task_text
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.skills import SKILLS
 
@@ -84,4 +84,4 @@ def test_it_leaves_nothing_behind() -> None:
 
 
 def test_a_plug_in_may_import_the_placement_first() -> None:
-    subprocess.run([sys.executable, "-c", "import roboxim_tasks.placement"], check=True)
+    subprocess.run([sys.executable, "-c", "import roboxim_tasks.sampling.placement"], check=True)

@@ -6,10 +6,10 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from roboxim_bringup.runs.generation import GenerationConfig, generate
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.edited import copy_edited
+from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_tasks.skills import SKILLS
 
 QUICK = ("pick_up", "push_button")

@@ -17,9 +17,9 @@ import click
 from benchmarks._harness import Bench
 from benchmarks.data._demonstrations import QUICK, demonstrations
 
-from roboxim_bringup.runs.audit import AuditConfig, audit_dataset
-from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_recorder.run_bags import list_bags
+from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
+from roboxim_runs.storage.results_log import write_atomically
 
 
 def main() -> None:

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from benchmarks._harness import Bench
 
-from roboxim_bringup.runs.generation import GenerationConfig, generate
 from roboxim_datasets.video.codecs import CODECS
 from roboxim_recorder.bag import BagReader
+from roboxim_runs.episodes.generation import GenerationConfig, generate
 
 SETTINGS = (("veryfast", 18), ("superfast", 18), ("ultrafast", 18), ("ultrafast", 16))
 FRAMES = 45

@@ -68,7 +68,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def generated(run: Path, episodes: int) -> Path:
     """Generate demonstrations and return their folder."""
-    command = [sys.executable, "-m", "roboxim_bringup", "generate", "--out", str(run), "--episodes", str(episodes)]
+    command = [sys.executable, "-m", "roboxim_cli", "generate", "--out", str(run), "--episodes", str(episodes)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"generating the bags failed: {done.stderr.strip()[-500:]}")

@@ -16,13 +16,13 @@ from typing import Any
 from benchmarks._harness import Bench
 from benchmarks.data._demonstrations import QUICK, demonstrations
 
-from roboxim_bringup.runs.export import export_dataset
-from roboxim_bringup.runs.replay_gate import replay_dataset
-from roboxim_bringup.runs.results_log import write_atomically
 from roboxim_datasets.compare import compare, comparison_text
 from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_datasets.formats import open_dataset
 from roboxim_recorder.export import EXPORTERS
+from roboxim_runs.datasets.export import export_dataset
+from roboxim_runs.datasets.replay_gate import replay_dataset
+from roboxim_runs.storage.results_log import write_atomically
 
 REFERENCE = "HDF5"
 CASES: dict[str, tuple[str, dict[str, Any]]] = {

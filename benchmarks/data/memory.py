@@ -17,8 +17,8 @@ from typing import Any
 from benchmarks._harness import Bench
 from benchmarks.data._demonstrations import copy
 
-from roboxim_bringup.runs.generation import GenerationConfig, generate
 from roboxim_recorder.export import EXPORTERS, export_bags
+from roboxim_runs.episodes.generation import GenerationConfig, generate
 
 FORMATS: dict[str, tuple[str, dict[str, Any]]] = {
     "LeRobot 3.0": ("lerobot", {}),

@@ -19,10 +19,10 @@ from pathlib import Path
 from benchmarks._harness import Bench
 from benchmarks.data._demonstrations import QUICK, demonstrations
 
-from roboxim_bringup.runs.audit import AuditConfig, audit_dataset
-from roboxim_bringup.runs.corruption import FaultKind, corrupt, fault_kinds
-from roboxim_bringup.runs.export import ExportConfig, export_dataset
 from roboxim_core.errors import InvalidRequestError
+from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
+from roboxim_runs.datasets.corruption import FaultKind, corrupt, fault_kinds
+from roboxim_runs.datasets.export import ExportConfig, export_dataset
 
 RATES = (0.01, 0.1, 1.0)
 EACH = 2

@@ -39,14 +39,14 @@ from unittest.mock import patch
 from benchmarks._harness import Bench
 
 from roboxim_bringup import core_graph
-from roboxim_bringup.executors import KeptProcesses, LocalExecutor, local
-from roboxim_bringup.executors.worker_process import WorkerProcess
 from roboxim_bringup.process import THREAD_COUNTS
-from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
-from roboxim_bringup.runs.policies import PolicySpec
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_policies.base import load_policy
+from roboxim_runs.episodes.task_choice import task_text
+from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
+from roboxim_runs.executors import KeptProcesses, LocalExecutor, local
+from roboxim_runs.executors.worker_process import WorkerProcess
+from roboxim_runs.policies.specs import PolicySpec
 
 TASK = "pick_cube"
 TYPICAL = 120

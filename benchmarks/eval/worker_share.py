@@ -30,12 +30,12 @@ from benchmarks._harness import Bench
 
 import roboxim_sim.node
 from roboxim_bringup.graph import GraphConfig, PolicyLaunch
-from roboxim_bringup.runs.episode_worker import EpisodeWorker
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.config import to_plain
 from roboxim_core.episode import RunConfig
 from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_ros.runs import free_domain
+from roboxim_runs.episodes.task_choice import task_text
+from roboxim_runs.episodes.worker import EpisodeWorker
 from roboxim_sim.node import SimNode
 from roboxim_sim.rendering.camera_effects import CameraRig
 from roboxim_sim.rendering.states import StateRenderer

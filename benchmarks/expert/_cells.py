@@ -8,9 +8,9 @@ from typing import Any
 
 import yaml
 
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
+from roboxim_runs.episodes.task_choice import task_text
 from roboxim_tasks.config import merged
 from roboxim_tasks.skills import SKILLS
 

@@ -22,7 +22,7 @@ from roboxim_sim.world import World
 from roboxim_tasks.components.distractors import NearConfig, distance_to
 from roboxim_tasks.config import parse_task_config
 from roboxim_tasks.roles import task_distractors
-from roboxim_tasks.visible import Visibility
+from roboxim_tasks.sampling.visible import Visibility
 
 NOISE_M, NOISE_RAD = 0.003, 0.01
 DISTURBED_M = 0.01
@@ -171,7 +171,7 @@ class CellRunner:
 
 
 class ChunkWorker:
-    """Runs several indices of a cell in each job; see `roboxim_bringup.executors`."""
+    """Runs several indices of a cell in each job; see `roboxim_runs.executors`."""
 
     def __init__(self, settings: None, number: int) -> None:
         """Make the cores."""

@@ -11,8 +11,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from roboxim_bringup.runs.results_log import ResultsLog
 from roboxim_core.config import config_dirs
+from roboxim_runs.storage.results_log import ResultsLog
 
 PACKAGES = ("core", "sim", "planner", "planner_native", "tasks", "eval", "ros", "bringup")
 SUFFIXES = (".py", ".so", ".yaml", ".urdf", ".srdf", ".obj", ".stl", ".glb")

@@ -19,7 +19,7 @@ from benchmarks._harness import Bench
 from benchmarks.expert._kept import Kept
 from tqdm import tqdm
 
-from roboxim_bringup.trial_runs import TrialRuns
+from roboxim_runs.evaluation.trials import TrialRuns
 from roboxim_tasks.trials import TRIALS, Trial
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "tasks.md"

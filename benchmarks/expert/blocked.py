@@ -25,15 +25,15 @@ from tqdm import tqdm
 
 from roboxim_bringup.core_graph import CoreActor, CoreGraph
 from roboxim_bringup.cores import CorePlanner
-from roboxim_bringup.task_choice import task_text
 from roboxim_core.actions import ActionArray, ActionSemantics
 from roboxim_core.episode import ActorPort, EpisodeRunner, Ports, RunConfig, SimPort
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_eval.statistics import success_rate
+from roboxim_runs.episodes.task_choice import task_text
 from roboxim_tasks.config import merged
-from roboxim_tasks.expert import Expert
+from roboxim_tasks.demonstration.expert import Expert
 from roboxim_tasks.roles import DISTRACTOR
 
 TASKS = ("pick_up_blocked", "place_on_blocked")

@@ -27,7 +27,7 @@ from benchmarks._harness import Bench
 
 from roboxim_ros.runs import find_run
 
-ROBOXIM = (sys.executable, "-m", "roboxim_bringup")
+ROBOXIM = (sys.executable, "-m", "roboxim_cli")
 SERVICE = "/sim/get_simulator_features"
 BARE = f"""
 import rclpy

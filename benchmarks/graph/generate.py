@@ -8,8 +8,8 @@ import time
 
 from benchmarks._harness import Bench
 
-from roboxim_bringup.runs.events import EpisodeFinished, Event
-from roboxim_bringup.runs.generation import GenerationConfig, generate
+from roboxim_runs.episodes.generation import GenerationConfig, generate
+from roboxim_runs.events import EpisodeFinished, Event
 
 WORKERS = 2
 

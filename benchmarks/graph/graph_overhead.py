@@ -15,8 +15,8 @@ from benchmarks._harness import Bench
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.graph import start_graph
 from roboxim_core.episode import EpisodeResult, EpisodeRunner, RunConfig
-from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.host import NodeHost
+from roboxim_ros.messages.conversions import from_msg, to_msg
 from roboxim_ros.runs import activate_transport, free_domain
 
 

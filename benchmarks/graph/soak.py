@@ -25,8 +25,8 @@ from benchmarks._harness import Bench
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from roboxim_bringup.runs.events import EpisodeFinished, Event
-from roboxim_bringup.runs.generation import GenerationConfig, generate
+from roboxim_runs.episodes.generation import GenerationConfig, generate
+from roboxim_runs.events import EpisodeFinished, Event
 
 TASK = """# Pick up a cube; images are drawn or not.
 skill: pick_up

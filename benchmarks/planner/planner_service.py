@@ -21,13 +21,13 @@ from shape_msgs.msg import SolidPrimitive
 
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
-from roboxim_planner.collision import CollisionWorld
+from roboxim_planner.collisions.checker import CollisionWorld
 from roboxim_planner.node import PlannerNode
 from roboxim_planner.pipeline import Planner
 from roboxim_planner.scene import Body, PlanningScene, box, model_shapes
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import fill_pose
 from roboxim_ros.host import NodeHost
+from roboxim_ros.messages.conversions import fill_pose
 from roboxim_ros.runs import activate_transport, free_domain
 
 GOAL = Pose(position=(0.5, -0.3, 0.25), quat_xyzw=(1.0, 0.0, 0.0, 0.0))

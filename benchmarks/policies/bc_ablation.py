@@ -20,7 +20,7 @@ import yaml
 from benchmarks._harness import Bench
 
 from roboxim_core.config import from_plain
-from roboxim_core.images import resized
+from roboxim_core.vision.images import resized
 from roboxim_datasets.formats import open_dataset
 from roboxim_policies.bc.checkpoint import load_checkpoint
 from roboxim_policies.bc.config import BCConfig

@@ -44,7 +44,7 @@ class Instant(BasePolicy):
 @contextmanager
 def serving():
     """Serve the policy in a process of its own; yield the address."""
-    command = [sys.executable, "-m", "roboxim_bringup", "policy", "serve", f"{__file__}:Instant"]
+    command = [sys.executable, "-m", "roboxim_cli", "policy", "serve", f"{__file__}:Instant"]
     command += ["--wire", "openpi", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:

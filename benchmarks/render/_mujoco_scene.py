@@ -12,8 +12,8 @@ import numpy as np
 from PIL import Image
 
 from roboxim_core.poses import IDENTITY, Pose
-from roboxim_core.rendering import RenderWorld, TriangleMesh
 from roboxim_core.specs import CameraSpec
+from roboxim_core.vision.renderer import RenderWorld, TriangleMesh
 from roboxim_sim.rendering import textures
 from roboxim_sim.rendering.geometry import textured
 

@@ -28,8 +28,8 @@ from render_scene import example_poses, example_scene
 from roboxim_core.config import digest
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
-from roboxim_core.rendering import RenderWorld
 from roboxim_core.specs import LightSpec, LookSpec
+from roboxim_core.vision.renderer import RenderWorld
 from roboxim_sim.rendering import make_renderer
 
 FRAMES = 8

@@ -12,10 +12,10 @@ from typing import Any
 
 from benchmarks._harness import Bench
 
-from roboxim_bringup.executors import Job, LocalExecutor, Work
-from roboxim_bringup.runs.folder import RunFolder, require_bags
-from roboxim_bringup.runs.merging import merge_shards
 from roboxim_core.episode import EpisodeResult
+from roboxim_runs.executors import Job, LocalExecutor, Work
+from roboxim_runs.storage.folder import RunFolder, require_bags
+from roboxim_runs.storage.merging import merge_shards
 
 SHARDS = 2
 MILLION = 1_000_000

@@ -15,16 +15,16 @@ from pathlib import Path
 
 from benchmarks._harness import Bench
 
-from roboxim_bringup.executors.ray_cluster import RayExecutor
-from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
-from roboxim_bringup.runs.events import EpisodeFinished, Event
-from roboxim_bringup.runs.generation import GenerationConfig, generate
-from roboxim_bringup.testing import add_ray_node, ray_cluster, recordings, repeatable_results
+from roboxim_runs.episodes.generation import GenerationConfig, generate
+from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
+from roboxim_runs.events import EpisodeFinished, Event
+from roboxim_runs.executors.ray_cluster import RayExecutor
+from roboxim_runs.testing import add_ray_node, ray_cluster, recordings, repeatable_results
 
 SIZE = 64
 ROLLOUT_STEPS = 20
 SHARDS = 3
-ROBOXIM = (sys.executable, "-m", "roboxim_bringup")
+ROBOXIM = (sys.executable, "-m", "roboxim_cli")
 WORDS = {
     "demonstrations": ("generate", "--size", str(SIZE)),
     "rollouts": ("evaluate", "--policy", "random", "--max-steps", str(ROLLOUT_STEPS), "--size", str(SIZE)),

@@ -13,9 +13,9 @@ from typing import Any
 
 from benchmarks._harness import Bench
 
-from roboxim_bringup.executors.ray_cluster import RayExecutor
-from roboxim_bringup.runs.events import EpisodeFinished, Event
-from roboxim_bringup.runs.generation import GenerationConfig, generate
+from roboxim_runs.episodes.generation import GenerationConfig, generate
+from roboxim_runs.events import EpisodeFinished, Event
+from roboxim_runs.executors.ray_cluster import RayExecutor
 
 WORKERS = 2
 SIZE = 128

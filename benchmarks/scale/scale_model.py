@@ -16,10 +16,10 @@ from typing import Any
 import psutil
 from benchmarks._harness import Bench
 
-from roboxim_bringup.executors.ray_cluster import RayExecutor
-from roboxim_bringup.runs.events import EpisodeFinished, Event
-from roboxim_bringup.runs.generation import GenerationConfig, generate
-from roboxim_bringup.testing import ray_cluster
+from roboxim_runs.episodes.generation import GenerationConfig, generate
+from roboxim_runs.events import EpisodeFinished, Event
+from roboxim_runs.executors.ray_cluster import RayExecutor
+from roboxim_runs.testing import ray_cluster
 
 SIZE = 128
 NODES = (1, 2, 3, 4)

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from benchmarks._harness import Bench
 
-from roboxim_bringup.executors import LocalExecutor
-from roboxim_bringup.runs.evaluation import EvaluationConfig, evaluate
-from roboxim_bringup.runs.events import EpisodeFinished, Event
+from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
+from roboxim_runs.events import EpisodeFinished, Event
+from roboxim_runs.executors import LocalExecutor
 
 ANSWER_S = 0.05
 SIMULATORS = (1, 4)

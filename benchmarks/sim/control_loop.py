@@ -23,8 +23,8 @@ from roboxim_interfaces.srv import RunEpisodes
 
 from roboxim_bringup.graph import PolicyLaunch, start_graph
 from roboxim_core.episode import RunConfig
-from roboxim_ros.conversions import to_msg
 from roboxim_ros.host import NodeHost
+from roboxim_ros.messages.conversions import to_msg
 from roboxim_ros.runs import activate_transport, free_domain
 
 SHORT, LONG = 10, 60

@@ -74,8 +74,9 @@ def test_a_time_law_beyond_the_limits_is_refused_and_caught_when_the_verifier_is
 ) -> None:
     from benchmarks.planner._problems import tabletop
 
-    from roboxim_planner import pipeline, timing
-    from roboxim_planner.verify import Finding
+    from roboxim_planner import pipeline
+    from roboxim_planner.motions import timing
+    from roboxim_planner.motions.verify import Finding
 
     def hasty(path, corners, limits, *rest):
         faster = replace(limits, velocity=1.2 * limits.velocity, acceleration=1.2 * limits.acceleration)

@@ -22,18 +22,18 @@ from roboxim._registration import register_with_gymnasium
 
 if TYPE_CHECKING:
     from roboxim.api import evaluate, export_hdf5, export_lerobot, export_rlds, generate, rerender, train_bc
-    from roboxim_bringup.executors import CancelledError, Executor, InlineExecutor, LocalExecutor
-    from roboxim_bringup.printer import EventPrinter
-    from roboxim_bringup.runs import events
-    from roboxim_bringup.runs.evaluation import EvaluationConfig
-    from roboxim_bringup.runs.evaluation_results import EvaluationResult, PolicyResult
-    from roboxim_bringup.runs.export import ExportConfig, ExportReport, Hdf5Config, LeRobotConfig
-    from roboxim_bringup.runs.generation import GenerationConfig, GenerationResult
-    from roboxim_bringup.runs.policies import PolicySpec
-    from roboxim_bringup.runs.rerendering import RerenderConfig
-    from roboxim_bringup.runs.training import BCConfig, TrainingResult
+    from roboxim_cli.printer import EventPrinter
     from roboxim_core.episode import EpisodeResult
     from roboxim_core.errors import ConfigError, RoboximError
+    from roboxim_runs import events
+    from roboxim_runs.datasets.export import ExportConfig, ExportReport, Hdf5Config, LeRobotConfig
+    from roboxim_runs.episodes.generation import GenerationConfig, GenerationResult
+    from roboxim_runs.episodes.rerendering import RerenderConfig
+    from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
+    from roboxim_runs.evaluation.run import EvaluationConfig
+    from roboxim_runs.executors import CancelledError, Executor, InlineExecutor, LocalExecutor
+    from roboxim_runs.policies.specs import PolicySpec
+    from roboxim_runs.training.run import BCConfig, TrainingResult
 
 __all__ = [
     "BCConfig",
@@ -69,16 +69,16 @@ __all__ = [
 
 _HOMES = {
     "roboxim.api": ("evaluate", "export_hdf5", "export_lerobot", "export_rlds", "generate", "rerender", "train_bc"),
-    "roboxim_bringup.executors": ("CancelledError", "Executor", "InlineExecutor", "LocalExecutor"),
-    "roboxim_bringup.printer": ("EventPrinter",),
-    "roboxim_bringup.runs": ("events",),
-    "roboxim_bringup.runs.evaluation": ("EvaluationConfig",),
-    "roboxim_bringup.runs.evaluation_results": ("EvaluationResult", "PolicyResult"),
-    "roboxim_bringup.runs.export": ("ExportConfig", "ExportReport", "Hdf5Config", "LeRobotConfig"),
-    "roboxim_bringup.runs.generation": ("GenerationConfig", "GenerationResult"),
-    "roboxim_bringup.runs.policies": ("PolicySpec",),
-    "roboxim_bringup.runs.rerendering": ("RerenderConfig",),
-    "roboxim_bringup.runs.training": ("BCConfig", "TrainingResult"),
+    "roboxim_runs.executors": ("CancelledError", "Executor", "InlineExecutor", "LocalExecutor"),
+    "roboxim_cli.printer": ("EventPrinter",),
+    "roboxim_runs": ("events",),
+    "roboxim_runs.evaluation.run": ("EvaluationConfig",),
+    "roboxim_runs.evaluation.results": ("EvaluationResult", "PolicyResult"),
+    "roboxim_runs.datasets.export": ("ExportConfig", "ExportReport", "Hdf5Config", "LeRobotConfig"),
+    "roboxim_runs.episodes.generation": ("GenerationConfig", "GenerationResult"),
+    "roboxim_runs.policies.specs": ("PolicySpec",),
+    "roboxim_runs.episodes.rerendering": ("RerenderConfig",),
+    "roboxim_runs.training.run": ("BCConfig", "TrainingResult"),
     "roboxim_core.episode": ("EpisodeResult",),
     "roboxim_core.errors": ("ConfigError", "RoboximError"),
 }

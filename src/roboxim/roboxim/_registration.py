@@ -25,7 +25,7 @@ def register_with_gymnasium() -> None:
 
 
 def _register() -> None:
-    from roboxim_bringup.environments.ids import register
+    from roboxim_runs.environments.ids import register
 
     register()
 

@@ -8,16 +8,19 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from roboxim_bringup.executors import Cancellation, Executor
-from roboxim_bringup.runs import evaluation, export, generation, rerendering, training
-from roboxim_bringup.runs.evaluation import EvaluationConfig
-from roboxim_bringup.runs.evaluation_results import EvaluationResult
-from roboxim_bringup.runs.events import OnEvent, ignore
-from roboxim_bringup.runs.export import ExportConfig, ExportReport, Hdf5Config, LeRobotConfig
-from roboxim_bringup.runs.generation import GenerationConfig, GenerationResult
-from roboxim_bringup.runs.rerendering import RerenderConfig, Rerendered, find_bags
-from roboxim_bringup.runs.training import BCConfig, TrainingResult
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_runs.datasets import export
+from roboxim_runs.datasets.export import ExportConfig, ExportReport, Hdf5Config, LeRobotConfig
+from roboxim_runs.episodes import generation, rerendering
+from roboxim_runs.episodes.generation import GenerationConfig, GenerationResult
+from roboxim_runs.episodes.rerendering import RerenderConfig, Rerendered, find_bags
+from roboxim_runs.evaluation import run as evaluation
+from roboxim_runs.evaluation.results import EvaluationResult
+from roboxim_runs.evaluation.run import EvaluationConfig
+from roboxim_runs.events import OnEvent, ignore
+from roboxim_runs.executors import Cancellation, Executor
+from roboxim_runs.training import run as training
+from roboxim_runs.training.run import BCConfig, TrainingResult
 
 C = TypeVar("C")
 F = TypeVar("F", bound=Callable[..., Any])
@@ -72,7 +75,7 @@ def generate(
     executor: Executor | None = None,
     **fields: Any,
 ) -> GenerationResult:
-    """Generate demonstrations of a task with the expert; see `roboxim_bringup.runs.generation.generate`.
+    """Generate demonstrations of a task with the expert; see `roboxim_runs.episodes.generation.generate`.
 
     The same call continues where it stopped.
 
@@ -105,7 +108,7 @@ def export_rlds(
     cancellation: Cancellation | None = None,
     **fields: Any,
 ) -> ExportReport:
-    """Export the bags of runs as RLDS; see `roboxim_bringup.runs.export.export_dataset`.
+    """Export the bags of runs as RLDS; see `roboxim_runs.datasets.export.export_dataset`.
 
     Args:
         source: A run's folder, a folder of bags, or one bag; or several of them.
@@ -141,7 +144,7 @@ def export_lerobot(
     cancellation: Cancellation | None = None,
     **fields: Any,
 ) -> ExportReport:
-    """Export the bags of runs as a LeRobot dataset; see `roboxim_bringup.runs.export.export_dataset`.
+    """Export the bags of runs as a LeRobot dataset; see `roboxim_runs.datasets.export.export_dataset`.
 
     Args:
         source: A run's folder, a folder of bags, or one bag; or several of them.
@@ -177,7 +180,7 @@ def export_hdf5(
     cancellation: Cancellation | None = None,
     **fields: Any,
 ) -> ExportReport:
-    """Export the bags of runs as HDF5 in robomimic's layout; see `roboxim_bringup.runs.export.export_dataset`.
+    """Export the bags of runs as HDF5 in robomimic's layout; see `roboxim_runs.datasets.export.export_dataset`.
 
     Args:
         source: A run's folder, a folder of bags, or one bag; or several of them.
@@ -211,7 +214,7 @@ def train_bc(
     cancellation: Cancellation | None = None,
     **fields: Any,
 ) -> TrainingResult:
-    """Train a small behaviour-cloning policy; see `roboxim_bringup.runs.training.train_bc`.
+    """Train a small behaviour-cloning policy; see `roboxim_runs.training.run.train_bc`.
 
     Args:
         dataset: An RLDS export's folder.
@@ -241,7 +244,7 @@ def evaluate(
     servers: Sequence[Executor] = (),
     **fields: Any,
 ) -> EvaluationResult:
-    """Run policies in fresh scenes and write a report; see `roboxim_bringup.runs.evaluation.evaluate`.
+    """Run policies in fresh scenes and write a report; see `roboxim_runs.evaluation.run.evaluate`.
 
     Args:
         config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
@@ -273,7 +276,7 @@ def rerender(
     executor: Executor | None = None,
     **fields: Any,
 ) -> Rerendered:
-    """Render recorded episodes again; see `roboxim_bringup.runs.rerendering.rerender`.
+    """Render recorded episodes again; see `roboxim_runs.episodes.rerendering.rerender`.
 
     Args:
         sources: Bags, folders of bags or runs.

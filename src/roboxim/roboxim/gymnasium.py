@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from roboxim_bringup.environments.gymnasium_env import RoboXimEnv
-from roboxim_bringup.environments.ids import environment_id, register
+from roboxim_runs.environments.gymnasium_env import RoboXimEnv
+from roboxim_runs.environments.ids import environment_id, register
 
 __all__ = ["RoboXimEnv", "environment_id", "register"]
 

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from roboxim_bringup.environments.vla_eval_benchmark import RoboXimBenchmark
+from roboxim_runs.environments.vla_eval_benchmark import RoboXimBenchmark
 
 __all__ = ["RoboXimBenchmark"]

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 import roboxim
-from roboxim_bringup.executors import Done
 from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeResult
+from roboxim_runs.executors import Done
 
 READMES = [Path(__file__).parents[3] / "README.md", Path(__file__).parents[1] / "README.md"]
 

@@ -24,26 +24,26 @@ from roboxim_core.models.visuals import render_world
 from roboxim_core.policies import Observation, Policy
 from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_core.proprioception import Proprioception
-from roboxim_core.rendering import CameraImages
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
+from roboxim_core.vision.renderer import CameraImages
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.recording import EpisodeRecording
-from roboxim_ros.conversions import to_msg
-from roboxim_ros.serialising import to_cdr
+from roboxim_ros.messages.conversions import to_msg
+from roboxim_ros.messages.serialising import to_cdr
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.camera_effects import CameraRig
 from roboxim_sim.tick_messages import TickMessages
 from roboxim_sim.world import World
 from roboxim_tasks.config import load_task_config, parse_task_config
-from roboxim_tasks.episodes import EpisodeGenerator
-from roboxim_tasks.expert import Expert
+from roboxim_tasks.demonstration.expert import Expert
+from roboxim_tasks.demonstration.solvable import Solvability
 from roboxim_tasks.judging import Judge
-from roboxim_tasks.solvable import Solvability
-from roboxim_tasks.visible import Visibility
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
+from roboxim_tasks.sampling.visible import Visibility
 
 
 class CoreTasks:

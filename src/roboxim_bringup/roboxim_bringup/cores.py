@@ -13,7 +13,7 @@ from roboxim_planner.pipeline import MotionOptions, Planner
 from roboxim_planner.scene import SceneMaker
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.states import StateRenderer
-from roboxim_tasks.visible import Segmentation
+from roboxim_tasks.sampling.visible import Segmentation
 
 SAMPLE_PERIOD_S = 0.02
 
@@ -30,7 +30,7 @@ class CoreSegmentation:
         self._states: StateRenderer | None = None
 
     def segment(self, scene: SceneSpec, state: StateRecord) -> dict[str, Segmentation]:
-        """Return what the cameras of a scene see; see `roboxim_tasks.visible.SegmentationPort`."""
+        """Return what the cameras of a scene see; see `roboxim_tasks.sampling.visible.SegmentationPort`."""
         if self._states is None:
             self._states = StateRenderer(make_renderer(self._name), self._library)
         images = self._states.draw(scene, state, colour=False)
@@ -53,7 +53,7 @@ class CorePlanner:
         self._scenes = SceneMaker(library)
 
     def plan_to_pose(self, joints: Array, pose_tcp_in_world: Pose, around: Surroundings, seed: int) -> Array:
-        """Return a collision-free joint path to a pose; see `roboxim_tasks.planning.PlannerPort`."""
+        """Return a collision-free joint path to a pose; see `roboxim_tasks.demonstration.planning.PlannerPort`."""
         planner, options = self._planner(around), MotionOptions(seed=seed)
         plan = planner.plan_to_pose(self._scenes.scene(around), joints, [pose_tcp_in_world], options)
         return plan.sample(SAMPLE_PERIOD_S).positions

@@ -28,7 +28,7 @@ from roboxim_bringup.graph import Graph, start_graph
 from roboxim_eval.testing import SKILL_AND_OBJECT
 
 if TYPE_CHECKING:
-    from roboxim_bringup.runs.experiment_report import ExperimentFolder
+    from roboxim_runs.experiments.report import ExperimentFolder
 
 
 PLANTED_EXPERIMENT = SKILL_AND_OBJECT + """
@@ -70,9 +70,9 @@ def recordings(run: Path) -> dict[str, str]:
 
 def repeatable_results(run: Path) -> list[dict[str, Any]]:
     """Return a run's results without the times, which no two machines share."""
-    from roboxim_bringup.runs.folder import RunFolder
-    from roboxim_bringup.runs.merging import CLOCKED
     from roboxim_core.config import to_plain
+    from roboxim_runs.storage.folder import RunFolder
+    from roboxim_runs.storage.merging import CLOCKED
 
     found = [to_plain(result) for result in RunFolder(run).results()]
     return [{name: value for name, value in result.items() if name not in CLOCKED} for result in found]
@@ -82,7 +82,7 @@ def ray_cluster(nodes: int = 2) -> Any:
     """Return a `ray.cluster_utils.Cluster` of so many nodes on this machine, each with one CPU; the caller ends it."""
     from ray.cluster_utils import Cluster
 
-    from roboxim_bringup.executors.ray_cluster import OWN_CLUSTER
+    from roboxim_runs.executors.ray_cluster import OWN_CLUSTER
 
     head = {"num_cpus": 1, "_system_config": OWN_CLUSTER, **_agent_ports()}  # further nodes take the settings from it
     cluster = Cluster(initialize_head=True, head_node_args=head)
@@ -119,15 +119,15 @@ def planted_folder(out: Path, rates: Mapping[str, float], text: str = PLANTED_EX
         rates: Condition to its success rate.
         text: The experiment, with 20 rollouts in each cell.
     """
-    from roboxim_bringup.experiment_card import evaluation_folder
-    from roboxim_bringup.experiment_files import checked_design
-    from roboxim_bringup.runs.experiment_report import ExperimentFolder
-    from roboxim_bringup.runs.folder import RunFolder
-    from roboxim_bringup.runs.results_log import ResultsLog
     from roboxim_core.config import to_plain
     from roboxim_core.episode import EpisodeResult
     from roboxim_eval.experiments import stages_of
     from roboxim_eval.testing import experiment_of
+    from roboxim_runs.experiments.card import evaluation_folder
+    from roboxim_runs.experiments.files import checked_design
+    from roboxim_runs.experiments.report import ExperimentFolder
+    from roboxim_runs.storage.folder import RunFolder
+    from roboxim_runs.storage.results_log import ResultsLog
     from roboxim_tasks.config import task_mix
 
     config = experiment_of(text)

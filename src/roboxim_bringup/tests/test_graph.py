@@ -9,8 +9,8 @@ from roboxim_bringup.graph import NODES, PolicyLaunch, node_class, start_graph
 from roboxim_core.episode import EpisodeResult, RunConfig
 from roboxim_core.errors import ConfigError, InvalidRequestError, RequestTimeoutError
 from roboxim_ros.actions import ActionCall
-from roboxim_ros.conversions import from_msg, to_msg
 from roboxim_ros.host import NodeHost
+from roboxim_ros.messages.conversions import from_msg, to_msg
 from roboxim_ros.runs import free_domain
 from roboxim_ros.testing import PATIENCE_S
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_core.quaternions import Quat, quat_from_axes
+from roboxim_core.rotation.quaternions import Quat, quat_from_axes
 
 if TYPE_CHECKING:
     import pinocchio as pin

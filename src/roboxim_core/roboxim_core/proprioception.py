@@ -3,7 +3,7 @@
 The tool's rotation is stored as the first two columns of its matrix (``rotation_6d``), which are continuous everywhere.
 A quaternion whose scalar part is kept positive jumps in the working pose, where the gripper points down.
 `Proprioception.vector` returns quaternions or Euler angles on request. Their seam lies half a turn away from that pose,
-see `roboxim_core.rotations`.
+see `roboxim_core.rotation.representations`.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import numpy.typing as npt
 
 from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.poses import IDENTITY, Pose, Vec3
-from roboxim_core.quaternions import axes_of_quat
-from roboxim_core.rotations import RotationRepresentation, decode, encode, gripper_down
+from roboxim_core.rotation.quaternions import axes_of_quat
+from roboxim_core.rotation.representations import RotationRepresentation, decode, encode, gripper_down
 from roboxim_core.state import StateRecord
 
 if TYPE_CHECKING:

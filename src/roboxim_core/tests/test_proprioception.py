@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import IDENTITY, Pose, distance
 from roboxim_core.proprioception import STATE_NAMES, Proprioception, ProprioField
-from roboxim_core.rotations import (
+from roboxim_core.rotation.representations import (
     RotationRepresentation,
     continued_angles,
     continued_quaternions,

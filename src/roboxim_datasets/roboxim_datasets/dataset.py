@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from roboxim_core.actions import ActionSemantics
-from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError, one_of
+from roboxim_core.plain_data.documents import read_json_object
 from roboxim_datasets.account import Account
 from roboxim_datasets.episode import EXECUTED, METADATA, OWN_FIELDS, Episode, ImageSize, MetaValue, Step, Wanted
 from roboxim_datasets.files import file_in

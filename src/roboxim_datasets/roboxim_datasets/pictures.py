@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
-from roboxim_core.images import decode_image
+from roboxim_core.vision.images import decode_image
 from roboxim_datasets.episode import ImageSize, RGBImage
 
 MOST_PIXELS = 2**26

@@ -19,8 +19,8 @@ import numpy as np
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.config import to_json as config_json
-from roboxim_core.documents import read_json_object, read_text
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, printable
+from roboxim_core.plain_data.documents import read_json_object, read_text
 from roboxim_datasets.account import Part, to_json
 from roboxim_datasets.build import only_build
 from roboxim_datasets.card import write_card

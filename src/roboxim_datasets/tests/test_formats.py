@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError
-from roboxim_core.images import encode_image
+from roboxim_core.vision.images import encode_image
 from roboxim_datasets.dataset import Description, Features
 from roboxim_datasets.episode import Episode, ImageSize, Step, Wanted
 from roboxim_datasets.formats import FORMATS, open_dataset

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
-from roboxim_core.images import encode_image
+from roboxim_core.vision.images import encode_image
 from roboxim_datasets.rlds import RldsEpisode, RldsFeatures, RldsReader
 from roboxim_datasets.rlds.tfrecord import decode_example, encode_example
 from roboxim_datasets.rlds.writer import RldsWriter

@@ -22,9 +22,9 @@ from roboxim_core.episode import EpisodeResult, EpisodeRunner, Ports, RunConfig
 from roboxim_core.errors import ErrorCode, EvaluationError, RequestTimeoutError, RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_eval.ports import RosPorts
-from roboxim_ros.conversions import from_msg, to_msg
+from roboxim_ros.local.episodes import RUN_EPISODES
+from roboxim_ros.messages.conversions import from_msg, to_msg
 from roboxim_ros.node import RoboximNode
-from roboxim_ros.run_calls import RUN_EPISODES
 
 FEEDBACK_PERIOD_S = 0.2
 ENDING_S = 60.0
@@ -61,7 +61,7 @@ class EvaluatorConfig:
 class EvaluatorNode(RoboximNode):
     """Serves ``evaluator/run_episodes`` as an action and as a blocking service; one run at a time.
 
-    Callers of its process may run episodes in their own thread (`roboxim_ros.run_calls`).
+    Callers of its process may run episodes in their own thread (`roboxim_ros.local.episodes`).
     """
 
     executor_threads = 3

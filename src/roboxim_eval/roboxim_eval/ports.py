@@ -50,12 +50,13 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
-from roboxim_ros import local_ticks, qos
+from roboxim_ros import qos
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
-from roboxim_ros.local_calls import LocalCall
+from roboxim_ros.local import ticks as local_ticks
+from roboxim_ros.local.calls import LocalCall
+from roboxim_ros.local.recording import RECORD_ARRIVING, RECORD_RECEIVED, RECORD_STEP, RECORD_STORE
+from roboxim_ros.messages.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
 from roboxim_ros.policy_service import PolicyClient
-from roboxim_ros.recording_calls import RECORD_ARRIVING, RECORD_RECEIVED, RECORD_STEP, RECORD_STORE
 
 SERVICE_TIMEOUT_S = 120.0
 """Longest wait for the answer of a node that is alive [s]; a dead node is detected sooner."""

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.config import load_yaml, named_config, parse_yaml
-from roboxim_core.merging import merged
+from roboxim_core.plain_data.merging import merged
 from roboxim_eval.experiments import Cell, Design, ExperimentConfig, Rates, design_of, experiment_config
 from roboxim_eval.experiments.card import Attestation, Card, CardEvaluation, CardExperiment, CardTraining, JudgedAgain
 from roboxim_eval.experiments.card_checks import concluded

@@ -26,8 +26,8 @@ from scipy.spatial import ConvexHull
 from roboxim_core.errors import PlannerError
 from roboxim_core.models.description import Shape
 from roboxim_core.poses import Pose
-from roboxim_planner.contacts import ContactPair
-from roboxim_planner.geometry import mesh_points
+from roboxim_planner.collisions.contacts import ContactPair
+from roboxim_planner.collisions.geometry import mesh_points
 from roboxim_planner.pipeline import Plan, Planner
 from roboxim_planner.queries import Answer, IkQuery, LineQuery, PoseQuery, Query, RetimeQuery, SequenceQuery
 from roboxim_planner.robot import PlannerRobot, se3

@@ -48,19 +48,20 @@ from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.surroundings import Surroundings
 from roboxim_core.user_folders import expanded
-from roboxim_planner import conversions as convert
-from roboxim_planner import query_conversions as queries
 from roboxim_planner.dumps import Dump, Outcome, Steps, dump_folder, write_dump
-from roboxim_planner.paths import Watch
+from roboxim_planner.messages import conversions as convert
+from roboxim_planner.messages import queries
+from roboxim_planner.messages.scenes import scene_from_msg
+from roboxim_planner.motions.paths import Watch
 from roboxim_planner.pipeline import MotionOptions, PathIncompleteError, Planner, PlannerConfig
 from roboxim_planner.queries import Answer, Query, run_query
 from roboxim_planner.scene import PlanningScene, SceneMaker
-from roboxim_planner.scene_conversions import scene_from_msg
 from roboxim_planner.tracker import SceneTracker
-from roboxim_ros import local_ticks, qos
+from roboxim_ros import qos
 from roboxim_ros.clients import wait_until
-from roboxim_ros.conversions import fill_pose, from_msg
-from roboxim_ros.local_ticks import LocalTick
+from roboxim_ros.local import ticks as local_ticks
+from roboxim_ros.local.ticks import LocalTick
+from roboxim_ros.messages.conversions import fill_pose, from_msg
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
 

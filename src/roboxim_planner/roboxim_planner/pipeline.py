@@ -15,18 +15,18 @@ import numpy.typing as npt
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import IDENTITY, Pose
-from roboxim_planner.collision import CollisionWorld
+from roboxim_planner.collisions.checker import CollisionWorld
+from roboxim_planner.collisions.sweep import PaddedSweep, Sweep
 from roboxim_planner.constraint import Upright
 from roboxim_planner.ik import IkConfig, IkSolver
-from roboxim_planner.lines import plan_line
-from roboxim_planner.paths import IMPROVERS, SearchConfig, Watch, improve, search, shorten, without_repeats
+from roboxim_planner.motions.lines import plan_line
+from roboxim_planner.motions.paths import IMPROVERS, SearchConfig, Watch, improve, search, shorten, without_repeats
+from roboxim_planner.motions.points import Trajectory
+from roboxim_planner.motions.timing import Motion, MotionLimits, MotionSequence, still, time_path
+from roboxim_planner.motions.verify import Finding, verify_motion, verify_samples
 from roboxim_planner.plans import MotionOptions, PathIncompleteError, Plan
-from roboxim_planner.points import Trajectory
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
-from roboxim_planner.sweep import PaddedSweep, Sweep
-from roboxim_planner.timing import Motion, MotionLimits, MotionSequence, still, time_path
-from roboxim_planner.verify import Finding, verify_motion, verify_samples
 
 Array = npt.NDArray[np.float64]
 Goals = tuple[Array, list[int]]

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from roboxim_core import limits
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
 from roboxim_planner.constraint import Upright
-from roboxim_planner.paths import FINDERS, IMPROVERS
-from roboxim_planner.points import Trajectory, controller_points, sample
-from roboxim_planner.timing import Motion, MotionLimits
+from roboxim_planner.motions.paths import FINDERS, IMPROVERS
+from roboxim_planner.motions.points import Trajectory, controller_points, sample
+from roboxim_planner.motions.timing import Motion, MotionLimits
 
 Array = npt.NDArray[np.float64]
 

@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.poses import Pose
-from roboxim_planner.paths import Watch
+from roboxim_planner.motions.paths import Watch
+from roboxim_planner.motions.retime import DEFAULT_TOLERANCE_RAD, retime
 from roboxim_planner.pipeline import MotionOptions, Plan, Planner
-from roboxim_planner.retime import DEFAULT_TOLERANCE_RAD, retime
 from roboxim_planner.scene import PlanningScene
 from roboxim_planner.sequence import Stage, plan_sequence
 

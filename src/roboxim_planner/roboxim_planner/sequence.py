@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
 from roboxim_core.poses import Pose
-from roboxim_planner.paths import Watch
+from roboxim_planner.motions.paths import Watch
 from roboxim_planner.pipeline import MotionOptions, Plan, Planner, no_watch
 from roboxim_planner.scene import AllowedContact, PlanningScene
 

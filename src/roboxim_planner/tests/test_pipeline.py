@@ -13,13 +13,13 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, Re
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.kinematics.delta import DeltaController, delta_between
 from roboxim_core.poses import Pose, distance
-from roboxim_planner.cartesian import follow_line
-from roboxim_planner.collision import CollisionWorld
+from roboxim_planner.collisions.checker import CollisionWorld
+from roboxim_planner.collisions.sweep import Sweep
+from roboxim_planner.motions.cartesian import follow_line
+from roboxim_planner.motions.timing import MotionLimits, PolynomialMotion
+from roboxim_planner.motions.verify import verify_motion
 from roboxim_planner.pipeline import MotionOptions, PathIncompleteError, Planner
 from roboxim_planner.scene import AllowedContact, PlanningScene, box
-from roboxim_planner.sweep import Sweep
-from roboxim_planner.timing import MotionLimits, PolynomialMotion
-from roboxim_planner.verify import verify_motion
 
 Down = Callable[..., Pose]
 

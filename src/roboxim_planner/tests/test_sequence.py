@@ -7,8 +7,8 @@ import pytest
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, RequestTimeoutError
 from roboxim_core.poses import Pose
+from roboxim_planner.motions.retime import retime, simplified
 from roboxim_planner.pipeline import MotionOptions, Planner
-from roboxim_planner.retime import retime, simplified
 from roboxim_planner.scene import AllowedContact, Attached, PlanningScene, box
 from roboxim_planner.sequence import SequenceConfig, Stage, StageGoal, plan_sequence
 

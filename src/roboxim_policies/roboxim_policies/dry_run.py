@@ -17,7 +17,7 @@ from roboxim_core.config_folders import config_names
 from roboxim_core.conventions import Convention, decode_actions, from_actions, load_convention
 from roboxim_core.conventions.images import Picture
 from roboxim_core.errors import RoboximError
-from roboxim_core.rotations import Floats, encode, identity_rotation
+from roboxim_core.rotation.representations import Floats, encode, identity_rotation
 
 SATURATED = 0.5
 """Share of numbers at a bound from which on answers count as saturated."""

@@ -12,7 +12,7 @@ from typing import Any
 from roboxim_core.actions import ControlMode
 from roboxim_core.config import to_json
 from roboxim_core.conventions import Convention
-from roboxim_core.differences import differences
+from roboxim_core.plain_data.differences import differences
 from roboxim_policies.fitting_vla_eval import declared_misfits
 from roboxim_policies.wires import Metadata
 from roboxim_policies.wires.openpi import OWN_SERVER

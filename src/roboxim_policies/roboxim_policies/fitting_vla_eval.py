@@ -18,7 +18,7 @@ from roboxim_core.actions import ControlMode
 from roboxim_core.conventions import Convention
 from roboxim_core.conventions.states import StateField, StatePart
 from roboxim_core.limits import echo
-from roboxim_core.rotations import RotationRepresentation
+from roboxim_core.rotation.representations import RotationRepresentation
 from roboxim_policies.wires import Metadata
 
 GREETING = (

@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from roboxim_core.actions import ActionArray, ActionContext, ActionSemantics, ControlMode, check_chunk
 from roboxim_core.actions.transforms import Target, action_of
-from roboxim_core.documents import read_json
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError
+from roboxim_core.plain_data.documents import read_json
 from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import open_dataset
-from roboxim_ros.conversions import from_msg
+from roboxim_ros.messages.conversions import from_msg
 
 STEP_TOPIC = "evaluator/step"
 STATE_TOPIC = "sim/state"

@@ -26,11 +26,11 @@ from roboxim_core.conventions import (
     load_convention,
     observe,
 )
-from roboxim_core.differences import differences
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, PolicyError
+from roboxim_core.plain_data.differences import differences
 from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
 from roboxim_core.proprioception import Proprioception
-from roboxim_core.rotations import Floats
+from roboxim_core.rotation.representations import Floats
 from roboxim_policies.base import POLICIES, BasePolicy
 from roboxim_policies.fitting import misfits
 from roboxim_policies.wires import Metadata, Wire, find_wire

@@ -11,8 +11,8 @@ import pytest
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import to_json
 from roboxim_core.errors import ConfigError
-from roboxim_core.images import encode_image
 from roboxim_core.policies import EpisodeStart, ObservationWindow
+from roboxim_core.vision.images import encode_image
 from roboxim_datasets.rlds import RldsEpisode, RldsFeatures
 from roboxim_datasets.rlds.writer import RldsWriter
 from roboxim_policies import load_policy, recorded_actions

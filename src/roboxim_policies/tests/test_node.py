@@ -22,8 +22,8 @@ from roboxim_core.proprioception import Proprioception
 from roboxim_policies import BasePolicy
 from roboxim_policies.node import PolicyNode
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import fill_image, from_msg, to_msg
 from roboxim_ros.host import NodeHost
+from roboxim_ros.messages.conversions import fill_image, from_msg, to_msg
 from roboxim_ros.policy_service import PolicyClient
 from roboxim_ros.testing import PATIENCE_S, graph_host
 

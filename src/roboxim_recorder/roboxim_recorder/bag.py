@@ -31,8 +31,8 @@ from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import LIBRARY, METADATA, RECEIVED_KEY, BagWriter, find_episode
 from roboxim_recorder.chunks import read_messages
 from roboxim_recorder.decoding import Decoder
-from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns
-from roboxim_ros.schemas import MessageSchema
+from roboxim_ros.messages.conversions import from_msg, image_from_msg, stamp_to_ns
+from roboxim_ros.messages.schemas import MessageSchema
 
 T = TypeVar("T")
 

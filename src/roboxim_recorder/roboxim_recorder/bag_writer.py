@@ -22,7 +22,7 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, o
 from roboxim_recorder.cdr import Cdr
 from roboxim_recorder.mcap_writer import McapWriter
 from roboxim_recorder.topics import OF_SCENE
-from roboxim_ros.schemas import MessageSchema
+from roboxim_ros.messages.schemas import MessageSchema
 
 PLACES = {"keep": "episodes", "set_apart": "set_apart"}
 """How an episode is kept to the folder that it is kept in."""

@@ -20,7 +20,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys.store import Typestore
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_ros.schemas import MessageSchema, typestore
+from roboxim_ros.messages.schemas import MessageSchema, typestore
 
 Cdr = bytes | bytearray | memoryview
 """A serialised message."""

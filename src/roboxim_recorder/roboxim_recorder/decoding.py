@@ -7,8 +7,8 @@ from typing import Any
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_recorder.cdr import MessageLayout, message_layout
-from roboxim_ros.packing import packer
-from roboxim_ros.schemas import MessageSchema, typestore
+from roboxim_ros.messages.packing import packer
+from roboxim_ros.messages.schemas import MessageSchema, typestore
 
 
 class Decoder:

@@ -14,7 +14,7 @@ from roboxim_core.errors import RecorderError
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader, damage
 from roboxim_recorder.bag_writer import BagWriter
-from roboxim_ros.schemas import MessageSchema
+from roboxim_ros.messages.schemas import MessageSchema
 
 Edit = Callable[[str, Any], None]
 """Changes a decoded message of a topic in place."""

@@ -5,10 +5,10 @@ matched still arrives. Messages that were published before the episode was opene
 timestamps and ignored. Subscriptions are created once and kept, because matching takes time. A tick's messages are
 taken together when the loop's step arrives, which ends the tick: waking for each message would slow the sim down.
 
-An evaluator of the same process hands the step over by a call (`roboxim_ros.recording_calls`), whose answer replaces
+An evaluator of the same process hands the step over by a call (`roboxim_ros.local.recording`), whose answer replaces
 the acknowledgement. Its steps that also arrive as messages, because others listen to them, are then ignored.
 
-A sim of the same process, started before the recorder, shows its ticks (`roboxim_ros.local_ticks`). The recorder then
+A sim of the same process, started before the recorder, shows its ticks (`roboxim_ros.local.ticks`). The recorder then
 does not subscribe to its topics; it keeps the values and makes a chunk's messages together. The evaluator's thread does
 this, and it compresses and stores the chunk while the sim computes the next tick: the other cores are idle then, and
 compressing leaves Python to the sim. A thread of the recorder's own would get Python too late, in the middle of the
@@ -43,13 +43,14 @@ from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import bag_path
 from roboxim_recorder.output_root import require_inside
 from roboxim_recorder.recording import EpisodeRecording, TickContent
-from roboxim_ros import local_ticks, qos
-from roboxim_ros.conversions import from_msg
-from roboxim_ros.local_ticks import LocalTick
+from roboxim_ros import qos
+from roboxim_ros.local import ticks as local_ticks
+from roboxim_ros.local.recording import RECORD_ARRIVING, RECORD_RECEIVED, RECORD_STEP, RECORD_STORE
+from roboxim_ros.local.ticks import LocalTick
+from roboxim_ros.messages.conversions import from_msg
+from roboxim_ros.messages.serialising import to_cdr
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.on_demand import OnDemandGroup
-from roboxim_ros.recording_calls import RECORD_ARRIVING, RECORD_RECEIVED, RECORD_STEP, RECORD_STORE
-from roboxim_ros.serialising import to_cdr
 
 TICK_S = 30.0
 """Longest wait for the rest of a tick whose step has been handed over [s]."""

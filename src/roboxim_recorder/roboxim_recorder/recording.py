@@ -26,8 +26,8 @@ from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import RECEIVED_KEY, BagWriter
 from roboxim_recorder.cdr import Cdr, CleanMessage, message_layout
-from roboxim_ros.conversions import stamp_to_ns
-from roboxim_ros.schemas import message_schema, typestore
+from roboxim_ros.messages.conversions import stamp_to_ns
+from roboxim_ros.messages.schemas import message_schema, typestore
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -54,7 +54,7 @@ class TickContent:
 
     messages: Mapping[str, memoryview]
     """The sim's messages by their topics in the bag, the notice among them, without undefined bytes (`CleanMessage`),
-    as `roboxim_ros.serialising` makes them (`tests/test_serialised_ticks.py` asserts it)."""
+    as `roboxim_ros.messages.serialising` makes them (`tests/test_serialised_ticks.py` asserts it)."""
     step: memoryview
     """The loop's step, in the same way and without wall times (`topics.WALL_TIMES`)."""
 

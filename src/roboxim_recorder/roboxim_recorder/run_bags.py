@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from roboxim_core.config import from_plain
-from roboxim_core.documents import parse_json
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RecorderError
+from roboxim_core.plain_data.documents import parse_json
 from roboxim_recorder.bag_writer import PLACES
 
 RESULTS_FILE = "results.jsonl"

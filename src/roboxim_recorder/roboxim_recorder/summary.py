@@ -12,8 +12,8 @@ from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_recorder.bag import BagReader, NotAnEpisodeError, mcap_file
 from roboxim_recorder.bag_writer import PLACES, REPAIRED_KEY
-from roboxim_recorder.check import checksum_problems
-from roboxim_recorder.repair import survey_bag
+from roboxim_recorder.integrity.check import checksum_problems
+from roboxim_recorder.integrity.repair import survey_bag
 from roboxim_recorder.run_bags import list_bags
 
 

@@ -24,7 +24,7 @@ from roboxim_core.specs import CameraSpec, EntitySpec, PhysicalObject, RobotSpec
 from roboxim_core.state import EntityState, RobotState, StateRecord
 from roboxim_core.verdicts import Verdict
 from roboxim_recorder.recording import EpisodeRecording
-from roboxim_ros.conversions import fill_image, fill_stamp, to_msg
+from roboxim_ros.messages.conversions import fill_image, fill_stamp, to_msg
 
 CAMERAS = (CameraSpec(name="workspace", width=32, height=24, depth=True), CameraSpec(name="wrist", width=16, height=16))
 

@@ -17,9 +17,9 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import BagWriter, McapFile
-from roboxim_recorder.check import check_bag
+from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.recording import TickContent
-from roboxim_ros.conversions import to_msg
+from roboxim_ros.messages.conversions import to_msg
 
 
 def test_a_bag_gives_back_what_was_recorded(tmp_path, fake):

@@ -15,7 +15,7 @@ from rosidl_parser.definition import AbstractSequence, AbstractString, Array, Ba
 from roboxim_core.errors import InvalidRequestError
 from roboxim_recorder import topics
 from roboxim_recorder.cdr import MessageLayout, message_layout
-from roboxim_ros.schemas import MessageSchema, message_schema, typestore
+from roboxim_ros.messages.schemas import MessageSchema, message_schema, typestore
 
 KINDS = sorted({*topics.ALWAYS.values(), *topics.OWN.values(), "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"})
 

@@ -13,8 +13,8 @@ import pytest
 from roboxim_core.errors import RecorderError
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.check import check_bag
 from roboxim_recorder.edited import copy_edited
+from roboxim_recorder.integrity.check import check_bag
 
 IMAGE = topics.image_topic("workspace")
 

@@ -18,8 +18,8 @@ from mcap.writer import CompressionType, Writer
 
 from roboxim_core.errors import RoboximError
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.check import check_bag
-from roboxim_recorder.repair import repair_bag
+from roboxim_recorder.integrity.check import check_bag
+from roboxim_recorder.integrity.repair import repair_bag
 from roboxim_recorder.summary import bag_info
 
 FEW, MANY = 100, 2000

@@ -17,15 +17,16 @@ from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import McapFile
 from roboxim_recorder.cdr import message_layout
-from roboxim_recorder.check import check_bag
+from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.node import RecorderNode
 from roboxim_recorder.recording import FLUSH_TICKS
-from roboxim_ros import local_ticks, qos
+from roboxim_ros import qos
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import to_msg
-from roboxim_ros.local_ticks import LocalTick
-from roboxim_ros.recording_calls import RECORD_ARRIVING, RECORD_STEP
-from roboxim_ros.schemas import message_schema
+from roboxim_ros.local import ticks as local_ticks
+from roboxim_ros.local.recording import RECORD_ARRIVING, RECORD_STEP
+from roboxim_ros.local.ticks import LocalTick
+from roboxim_ros.messages.conversions import to_msg
+from roboxim_ros.messages.schemas import message_schema
 from roboxim_ros.testing import PATIENCE_S, eventually, graph_host  # noqa: F401
 
 pytestmark = pytest.mark.ros

@@ -11,9 +11,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_recorder.bag import BagReader, NotAnEpisodeError, mcap_file
-from roboxim_recorder.check import check_bag
 from roboxim_recorder.export.rlds import export_rlds
-from roboxim_recorder.repair import repair_bag
+from roboxim_recorder.integrity.check import check_bag
+from roboxim_recorder.integrity.repair import repair_bag
 from roboxim_recorder.summary import bag_info, dataset_summary
 
 WAYS = {
@@ -168,7 +168,7 @@ def test_a_bag_of_sqlite_is_named(tmp_path):
 
 def test_damaged_bags_end_info_with_an_exit_code(run, monkeypatch):
     pytest.importorskip("roboxim_bringup")
-    from roboxim_bringup.commands.bag import command
+    from roboxim_cli.commands.data.bag import command
 
     [bag] = (run / "episodes").iterdir()
     file = mcap_file(bag)

@@ -1,6 +1,6 @@
 """Blocking service calls from any thread, callbacks included.
 
-`Clients.call` hands the request to a node of the same process (`roboxim_ros.local_calls`), or else takes the answer
+`Clients.call` hands the request to a node of the same process (`roboxim_ros.local.calls`), or else takes the answer
 from the middleware itself (`roboxim_ros.direct_calls`). `Clients.send_local` calls a function of the core's values that
 a node of the same process offers. Everything else on the clients' node needs an executor: subscriptions, action
 clients, rclpy's own service clients. If a callback waited for its own executor, it would wait forever. A separate
@@ -23,10 +23,10 @@ from rclpy.parameter import Parameter
 from rclpy.validate_topic_name import validate_topic_name
 
 from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError, raise_for_code
-from roboxim_ros import local_calls
 from roboxim_ros.direct_calls import DirectClient
 from roboxim_ros.guard import GuardedNode
-from roboxim_ros.local_calls import LocalCall
+from roboxim_ros.local import calls as local_calls
+from roboxim_ros.local.calls import LocalCall
 from roboxim_ros.lockstep_executor import LockstepExecutor
 from roboxim_ros.spinning import spin
 
@@ -162,7 +162,7 @@ class Clients:
 
         Args:
             name: Name, relative to the namespace.
-            *arguments: Its arguments; see `roboxim_ros.local_calls`.
+            *arguments: Its arguments; see `roboxim_ros.local.calls`.
 
         Returns:
             The call; None when no node of this process offers the function.

@@ -31,8 +31,8 @@ from rclpy.serialization import serialize_message
 
 from roboxim_core import limits
 from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError
-from roboxim_ros import local_calls
 from roboxim_ros.bounds import check_message
+from roboxim_ros.local import calls as local_calls
 from roboxim_ros.shared_memory import fault_of_folder, private_files, seal
 
 CAUGHT = (Exception, SystemExit)
@@ -218,14 +218,14 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
         """Offer a service as rclpy does; an exception of its callback becomes the answer.
 
         Callers of this process hand the request over without the middleware, unless the callback is a coroutine
-        function (`roboxim_ros.local_calls`).
+        function (`roboxim_ros.local.calls`).
 
         Args:
             srv_type: Service class.
             srv_name: Name, relative to the namespace.
             callback: The handler.
             *args: Passed to rclpy.
-            inline: Whether callers of this process run the handler in their own thread, see `roboxim_ros.local_calls`.
+            inline: Whether callers of this process run the handler in their own thread, see `roboxim_ros.local.calls`.
             **kwargs: Passed to rclpy.
         """
         guarded = guarded_service(self.get_logger(), srv_name, callback, srv_type.Response)
@@ -236,13 +236,13 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
         return service
 
     def offer(self, name: str, function: Callable[..., Any], *, inline: bool = False) -> None:
-        """Offer a function to callers of this process, which call it with values; see `roboxim_ros.local_calls`.
+        """Offer a function to callers of this process, which call it with values; see `roboxim_ros.local.calls`.
 
         Args:
             name: Name, relative to the namespace; a service of the same name serves other processes.
             function: Called in the node's thread unless ``inline``; not a coroutine function. An exception is raised at
                 the caller, with the same code and message as from a service.
-            inline: Whether callers run it in their own thread, see `roboxim_ros.local_calls`.
+            inline: Whether callers run it in their own thread, see `roboxim_ros.local.calls`.
         """
 
         def described(error: BaseException) -> tuple[ErrorCode, str] | None:

@@ -22,7 +22,7 @@ C = TypeVar("C")
 class RoboximNode(GuardedNode):
     """A node whose handlers raise `RoboximError` and whose answers carry its code; see `GuardedNode`.
 
-    Handlers run in the node's executor thread, one at a time, unless they are inline (`roboxim_ros.local_calls`).
+    Handlers run in the node's executor thread, one at a time, unless they are inline (`roboxim_ros.local.calls`).
     They may use `clients_of_node`.
     """
 

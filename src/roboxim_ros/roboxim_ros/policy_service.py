@@ -30,7 +30,7 @@ from roboxim_core.proprioception import Proprioception
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import fill_image, from_msg, image_from_msg, to_msg
+from roboxim_ros.messages.conversions import fill_image, from_msg, image_from_msg, to_msg
 from roboxim_ros.node import RoboximNode
 
 DESCRIBE_TIMEOUT_S = 60.0

@@ -17,7 +17,7 @@ from rclpy.action.server import ServerGoalHandle
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RoboximError
 from roboxim_core.poses import Array
 from roboxim_core.state import StateRecord
-from roboxim_ros.conversions import fill_stamp, stamp_to_ns
+from roboxim_ros.messages.conversions import fill_stamp, stamp_to_ns
 from roboxim_sim.ports import SimServer
 from roboxim_sim.tolerances import GOAL_TOLERANCE_RAD, JointStates, Tolerance, tolerance, violation
 from roboxim_sim.trajectories import JointTrajectory

@@ -19,12 +19,12 @@ from roboxim_core import limits
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Pose
-from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import CameraSpec, Scalar
 from roboxim_core.state import EntityState, StateRecord
-from roboxim_ros.conversions import fill_image, fill_pose, fill_stamp
-from roboxim_ros.packing import ENCAPSULATION
-from roboxim_ros.serialising import (
+from roboxim_core.vision.renderer import CameraImages
+from roboxim_ros.messages.conversions import fill_image, fill_pose, fill_stamp
+from roboxim_ros.messages.packing import ENCAPSULATION
+from roboxim_ros.messages.serialising import (
     doubles,
     header_message,
     message,

@@ -32,12 +32,13 @@ from roboxim_core.config import from_json, load_config, named_config, to_json
 from roboxim_core.errors import ErrorCode, RequestTimeoutError, SimError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
-from roboxim_core.rendering import CameraImages, Renderer
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
-from roboxim_ros import local_ticks, qos
-from roboxim_ros.conversions import from_msg, to_msg
-from roboxim_ros.local_ticks import LocalTick
+from roboxim_core.vision.renderer import CameraImages, Renderer
+from roboxim_ros import qos
+from roboxim_ros.local import ticks as local_ticks
+from roboxim_ros.local.ticks import LocalTick
+from roboxim_ros.messages.conversions import from_msg, to_msg
 from roboxim_sim.conversions import camera_kind, camera_msgs, camera_topics
 from roboxim_sim.ports import SimConfig, SimServer
 from roboxim_sim.rendering import make_renderer

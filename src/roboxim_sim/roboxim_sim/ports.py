@@ -38,7 +38,7 @@ class SimConfig:
         },
     )
     """Whether ticks are published when nobody listens. The workers of runs leave it out: nodes of their process take
-    ticks from `roboxim_ros.local_ticks`, and the next tick comes within milliseconds."""
+    ticks from `roboxim_ros.local.ticks`, and the next tick comes within milliseconds."""
 
 
 class SimServer(RoboximNode):

@@ -28,7 +28,7 @@ from simulation_interfaces.srv import (
 from roboxim_core import limits
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RoboximError
 from roboxim_core.specs import EntitySpec
-from roboxim_ros.conversions import pose_from_msg
+from roboxim_ros.messages.conversions import pose_from_msg
 from roboxim_sim.controllers import ArmController, GripperController, Turn
 from roboxim_sim.conversions import entity_state_msg, model_of_uri, vector
 from roboxim_sim.name_filter import name_filter

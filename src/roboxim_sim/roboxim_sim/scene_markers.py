@@ -22,9 +22,16 @@ from visualization_msgs.msg import Marker
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
 from roboxim_core.poses import IDENTITY
-from roboxim_core.rendering import TriangleMesh, VisualPart
 from roboxim_core.specs import MaterialSpec, SceneSpec
-from roboxim_ros.serialising import header_message, message, pose_message, serialise, time_message, vector_message
+from roboxim_core.vision.renderer import TriangleMesh, VisualPart
+from roboxim_ros.messages.serialising import (
+    header_message,
+    message,
+    pose_message,
+    serialise,
+    time_message,
+    vector_message,
+)
 from roboxim_sim.conversions import STAMP
 from roboxim_sim.rendering.lod import coarse_meshes
 from roboxim_sim.rendering.textures import pixels

@@ -18,10 +18,10 @@ from visualization_msgs.msg import MarkerArray
 from roboxim_core.models.description import RobotModel
 from roboxim_core.models.visuals import ScenePoses
 from roboxim_core.poses import Pose
-from roboxim_core.rendering import CameraImages
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
-from roboxim_ros.serialising import to_cdr
+from roboxim_core.vision.renderer import CameraImages
+from roboxim_ros.messages.serialising import to_cdr
 from roboxim_sim.conversions import (
     arrays_of,
     camera_cdrs,

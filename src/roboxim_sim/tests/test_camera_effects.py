@@ -12,11 +12,11 @@ import pytest
 import trimesh
 from sensor_msgs.msg import CameraInfo
 
-from roboxim_core.cameras import project
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.poses import Pose, look_at
-from roboxim_core.rendering import RenderBody, Renderer, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import CameraNoise, CameraSpec, LookSpec, MaterialSpec, SceneSpec
+from roboxim_core.vision.cameras import project
+from roboxim_core.vision.renderer import RenderBody, Renderer, RenderWorld, TriangleMesh, VisualPart
 from roboxim_sim.conversions import camera_info_msg
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.camera_effects import CameraRig, draw_frames

@@ -20,8 +20,8 @@ from roboxim_core.poses import Pose
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_ros.actions import ActionCall
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import to_msg
 from roboxim_ros.host import NodeHost
+from roboxim_ros.messages.conversions import to_msg
 from roboxim_ros.runs import free_domain
 from roboxim_sim.node import SimNode
 from roboxim_sim.tolerances import NO_LIMIT, JointStates, Tolerance, tolerance, violation

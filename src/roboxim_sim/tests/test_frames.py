@@ -27,7 +27,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import fill_stamp, stamp_to_ns, to_msg
+from roboxim_ros.messages.conversions import fill_stamp, stamp_to_ns, to_msg
 from roboxim_ros.testing import PATIENCE_S, graph_host  # noqa: F401
 from roboxim_sim.conversions import camera_info_cdr, camera_info_msg, tf_cdr
 from roboxim_sim.node import SimNode

@@ -44,8 +44,8 @@ from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_ros import qos
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
 from roboxim_ros.host import NodeHost
+from roboxim_ros.messages.conversions import from_msg, image_from_msg, stamp_to_ns, to_msg
 from roboxim_ros.runs import free_domain
 from roboxim_ros.testing import PATIENCE_S
 from roboxim_sim.node import SimNode

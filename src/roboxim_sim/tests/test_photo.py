@@ -16,8 +16,8 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
 from roboxim_core.poses import Pose, look_at
-from roboxim_core.rendering import Renderer
 from roboxim_core.specs import CameraSpec, EntitySpec, LightSpec, LookSpec, SceneSpec
+from roboxim_core.vision.renderer import Renderer
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.photo import PYTHON_VARIABLE, PhotoRenderer
 

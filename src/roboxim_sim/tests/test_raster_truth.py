@@ -22,9 +22,9 @@ from roboxim_core.errors import ErrorCode, SimError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
 from roboxim_core.poses import IDENTITY, Pose, look_at
-from roboxim_core.rendering import CameraImages, RenderBody, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import CameraSpec, EntitySpec, LightSpec, LookSpec, MaterialSpec, SceneSpec
 from roboxim_core.state import RobotState
+from roboxim_core.vision.renderer import CameraImages, RenderBody, RenderWorld, TriangleMesh, VisualPart
 from roboxim_sim.rendering.gl import create_context
 from roboxim_sim.rendering.lod import coarse_meshes
 from roboxim_sim.rendering.raster import RasterRenderer

@@ -11,7 +11,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, EntitySpec, RobotSpec, SceneSpec
-from roboxim_ros.schemas import message_schema, typestore
+from roboxim_ros.messages.schemas import message_schema, typestore
 from roboxim_sim.scene_markers import FACES, MARKER_ARRAY, scene_markers_cdr
 from roboxim_sim.tick_messages import TickMessages
 from roboxim_sim.world import World

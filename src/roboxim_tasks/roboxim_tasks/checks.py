@@ -21,9 +21,9 @@ from roboxim_core.models.modifiers import PHYSICAL, ModifierModel
 from roboxim_core.specs import Scalar, SceneSpec
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
-from roboxim_tasks.exclusions import MODEL, all_excluded
 from roboxim_tasks.files import named
 from roboxim_tasks.roles import SPOKEN, Role
+from roboxim_tasks.sampling.exclusions import MODEL, all_excluded
 from roboxim_tasks.skills import SKILLS, Skill
 from roboxim_tasks.task_config import DistractorConfig, ObjectConfig, TaskConfig
 

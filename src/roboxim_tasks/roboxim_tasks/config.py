@@ -17,8 +17,8 @@ from typing import Any
 from roboxim_core import limits
 from roboxim_core.config import LocatedMap, line_of, load_yaml, located, named_config, parse_yaml
 from roboxim_core.errors import ConfigError, one_of
-from roboxim_core.merging import merged
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.plain_data.merging import merged
 from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
 from roboxim_core.seeds import CELL, CELL_NUMBER
 from roboxim_tasks.checks import (

@@ -22,7 +22,7 @@ from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_core.state import EntityState
 from roboxim_core.surroundings import Surroundings
-from roboxim_ros.conversions import fill_pose
+from roboxim_ros.messages.conversions import fill_pose
 from roboxim_tasks.motion import TABLE
 
 

@@ -19,8 +19,8 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 from roboxim_tasks.config import task_config
-from roboxim_tasks.generators import GenerationContext
 from roboxim_tasks.roles import SPOKEN, task_objects
+from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.skills import SKILLS, Skill
 
 DRAWER = re.compile(r"(?P<drawer>\w+) drawer of the (?P<whole>.+)")

@@ -21,18 +21,18 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
-from roboxim_ros.conversions import from_msg, to_msg
+from roboxim_ros.messages.conversions import from_msg, to_msg
 from roboxim_ros.node import RoboximNode
 from roboxim_ros.policy_service import PolicyService
 from roboxim_tasks.config import DEFAULT_TASK, TaskMix, load_task_config, parse_task_config
-from roboxim_tasks.episodes import EpisodeGenerator
-from roboxim_tasks.expert import Expert
+from roboxim_tasks.demonstration.expert import Expert
+from roboxim_tasks.demonstration.reference import SpeedConfig
+from roboxim_tasks.demonstration.solvable import Solvability
 from roboxim_tasks.judging import Judge as TaskJudge
 from roboxim_tasks.ports import PlannerClient, SegmentationClient
-from roboxim_tasks.reference import SpeedConfig
-from roboxim_tasks.solvable import Solvability
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
+from roboxim_tasks.sampling.visible import Visibility
 from roboxim_tasks.task_config import TaskConfig
-from roboxim_tasks.visible import Visibility
 
 MAX_JUDGES = 16
 """Number of episodes judged at a time; the least recently used one is dropped first."""

@@ -15,16 +15,16 @@ from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.surroundings import Surroundings
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import image_from_msg, to_msg
+from roboxim_ros.messages.conversions import image_from_msg, to_msg
 from roboxim_tasks.conversions import motion_request, pose_stamped, trajectory
-from roboxim_tasks.visible import Segmentation
+from roboxim_tasks.sampling.visible import Segmentation
 
 SAMPLE_PERIOD_S = 0.02
 _PERIOD_NS = round(SAMPLE_PERIOD_S * 1e9)
 
 
 class PlannerClient:
-    """Client of ``planner/*``; see `roboxim_tasks.planning.PlannerPort`."""
+    """Client of ``planner/*``; see `roboxim_tasks.demonstration.planning.PlannerPort`."""
 
     def __init__(self, clients: Clients, timeout_s: float) -> None:
         """Use a set of clients.
@@ -71,7 +71,7 @@ class PlannerClient:
 
 
 class SegmentationClient:
-    """Client of ``sim/render_state``; see `roboxim_tasks.visible.SegmentationPort`."""
+    """Client of ``sim/render_state``; see `roboxim_tasks.sampling.visible.SegmentationPort`."""
 
     def __init__(self, clients: Clients, renderer: str, timeout_s: float) -> None:
         """Use a set of clients.

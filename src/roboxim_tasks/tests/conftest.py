@@ -5,7 +5,7 @@ import pytest
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_tasks.config import load_task_config
-from roboxim_tasks.episodes import EpisodeGenerator
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
 
 
 @pytest.fixture(scope="session")

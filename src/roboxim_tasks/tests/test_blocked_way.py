@@ -12,12 +12,12 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.config import load_task_config, parse_task_config
-from roboxim_tasks.episodes import EpisodeGenerator
+from roboxim_tasks.demonstration.solvable import Solvability, state_at_rest
+from roboxim_tasks.demonstration.solver import Solver
 from roboxim_tasks.judging import Judge
 from roboxim_tasks.motion import ExpertScene
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
 from roboxim_tasks.skills import SKILLS
-from roboxim_tasks.solvable import Solvability, state_at_rest
-from roboxim_tasks.solver import Solver
 
 TASKS = ("pick_up_blocked", "place_on_blocked")
 

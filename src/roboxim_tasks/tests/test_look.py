@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roboxim_core.cameras import load_camera
 from roboxim_core.errors import ConfigError
+from roboxim_core.vision.cameras import load_camera
 from roboxim_tasks.config import load_task_config, parse_task_config
 
 VIEWS = """

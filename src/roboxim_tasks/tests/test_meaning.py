@@ -10,8 +10,8 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_tasks.config import load_task_config
-from roboxim_tasks.episodes import EpisodeGenerator
 from roboxim_tasks.meaning import asks_for_same, read_instruction
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
 from roboxim_tasks.skills import SKILLS
 
 

@@ -16,7 +16,7 @@ from roboxim_interfaces.msg import TaskSpec as TaskSpecMsg  # noqa: E402
 from roboxim_interfaces.srv import Act, DescribePolicy, GenerateEpisode, Judge, ResetPolicy  # noqa: E402
 
 from roboxim_ros.clients import Clients  # noqa: E402
-from roboxim_ros.conversions import from_msg, to_msg  # noqa: E402
+from roboxim_ros.messages.conversions import from_msg, to_msg  # noqa: E402
 from roboxim_ros.testing import PATIENCE_S, graph_host  # noqa: E402, F401
 from roboxim_tasks.node import TaskNode  # noqa: E402
 

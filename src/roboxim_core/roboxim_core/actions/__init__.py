@@ -18,7 +18,7 @@ from roboxim_core.actions.semantics import (
 )
 from roboxim_core.actions.transforms import ActionContext, ActionTransform, Kinematics
 from roboxim_core.rates import ANY_RATE, DEFAULT_RATE_HZ
-from roboxim_core.rotations import RotationRepresentation
+from roboxim_core.rotation.representations import RotationRepresentation
 
 __all__ = [
     "ACTION_SIZE",

@@ -20,7 +20,7 @@ import numpy as np
 from roboxim_core.actions.chunks import ActionArray
 from roboxim_core.actions.semantics import ActionSemantics, ClosedEnum, ControlMode
 from roboxim_core.errors import InvalidRequestError
-from roboxim_core.rotations import RotationRepresentation, decode, encode, gripper_down
+from roboxim_core.rotation.representations import RotationRepresentation, decode, encode, gripper_down
 
 
 class Ensemble(ClosedEnum):

@@ -17,7 +17,7 @@ from roboxim_core.actions.semantics import ActionSemantics, ControlMode, DeltaBa
 from roboxim_core.actions.transforms import ActionContext, ActionTransform, Kinematics
 from roboxim_core.errors import ErrorCode, InvalidRequestError
 from roboxim_core.poses import IDENTITY, Pose
-from roboxim_core.rotations import Floats, decode_rows, encode_rows, gripper_down, identity_rotation
+from roboxim_core.rotation.representations import Floats, decode_rows, encode_rows, gripper_down, identity_rotation
 from roboxim_core.state import StateRecord
 
 if TYPE_CHECKING:

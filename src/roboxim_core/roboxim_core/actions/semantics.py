@@ -14,7 +14,7 @@ from typing import ClassVar
 
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, one_of
 from roboxim_core.rates import ANY_RATE, DEFAULT_RATE_HZ
-from roboxim_core.rotations import RotationRepresentation
+from roboxim_core.rotation.representations import RotationRepresentation
 
 
 class ClosedEnum(StrEnum):

@@ -32,7 +32,7 @@ from roboxim_core.actions.semantics import ActionSemantics, ControlMode, DeltaBa
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.rates import ANY_RATE
-from roboxim_core.rotations import Floats, decode, encode, gripper_down, identity_rotation
+from roboxim_core.rotation.representations import Floats, decode, encode, gripper_down, identity_rotation
 from roboxim_core.state import StateRecord
 
 if TYPE_CHECKING:

@@ -38,7 +38,7 @@ from roboxim_core.conventions.proof import Proof
 from roboxim_core.conventions.states import ArmReadings, StateInput
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
 from roboxim_core.policies import MAX_HORIZON, CameraRequirement, Observation, ObservationWindow
-from roboxim_core.rotations import Floats
+from roboxim_core.rotation.representations import Floats
 from roboxim_core.specs import Scalar
 
 Request = dict[str, Any]

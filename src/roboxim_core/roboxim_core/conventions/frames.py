@@ -16,7 +16,7 @@ import numpy as np
 from roboxim_core import limits
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Vec3
-from roboxim_core.rotations import Floats
+from roboxim_core.rotation.representations import Floats
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation

@@ -9,7 +9,7 @@ import numpy as np
 from roboxim_core import limits
 from roboxim_core.actions.gripper import GripperRule
 from roboxim_core.errors import InvalidRequestError
-from roboxim_core.rotations import Floats
+from roboxim_core.rotation.representations import Floats
 
 
 @dataclass(frozen=True, kw_only=True)

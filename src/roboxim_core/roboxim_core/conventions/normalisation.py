@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from roboxim_core.documents import parse_json, read_text
 from roboxim_core.errors import ConfigError, InvalidRequestError, one_of
-from roboxim_core.rotations import Floats
+from roboxim_core.plain_data.documents import parse_json, read_text
+from roboxim_core.rotation.representations import Floats
 from roboxim_core.user_folders import expanded
 
 

@@ -17,7 +17,7 @@ from roboxim_core.conventions.gripper import GripperOutput
 from roboxim_core.conventions.normalisation import Normalisation
 from roboxim_core.conventions.response import ControllerResponse
 from roboxim_core.errors import ErrorCode, InvalidRequestError
-from roboxim_core.rotations import (
+from roboxim_core.rotation.representations import (
     Floats,
     RotationRepresentation,
     decode_rows,

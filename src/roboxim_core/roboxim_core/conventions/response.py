@@ -14,7 +14,7 @@ import numpy as np
 from roboxim_core.actions.lag import COMPONENTS, require_lag
 from roboxim_core.config import from_plain, load_yaml
 from roboxim_core.errors import ConfigError, InvalidRequestError
-from roboxim_core.rotations import Floats
+from roboxim_core.rotation.representations import Floats
 
 
 @dataclass(frozen=True, kw_only=True)

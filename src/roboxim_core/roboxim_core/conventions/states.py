@@ -17,7 +17,7 @@ from roboxim_core import limits
 from roboxim_core.conventions.frames import Frames
 from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.proprioception import Proprioception
-from roboxim_core.rotations import Floats, RotationRepresentation, decode_rows, encode_rows, gripper_down
+from roboxim_core.rotation.representations import Floats, RotationRepresentation, decode_rows, encode_rows, gripper_down
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation

@@ -15,7 +15,7 @@ from roboxim_core.conventions.images import ImageInput, Layout, Resize
 from roboxim_core.conventions.normalisation import NormalisationKind
 from roboxim_core.conventions.outputs import ActionOutput
 from roboxim_core.conventions.states import StateField, StateInput, StatePart
-from roboxim_core.rotations import Floats, RotationRepresentation, decode, encode, gripper_down
+from roboxim_core.rotation.representations import Floats, RotationRepresentation, decode, encode, gripper_down
 
 _RESIZED = {
     Resize.PAD: "scaled to {size} with black bars where the shape differs",

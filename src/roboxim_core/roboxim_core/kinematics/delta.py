@@ -19,7 +19,7 @@ from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.kinematics.controller import ControllerState, ControlStep
 from roboxim_core.kinematics.workspace import WorkspaceBox
 from roboxim_core.poses import IDENTITY, Pose
-from roboxim_core.quaternions import euler_from_quat, quat_from_euler, quat_inverse, quat_product
+from roboxim_core.rotation.quaternions import euler_from_quat, quat_from_euler, quat_inverse, quat_product
 from roboxim_core.specs import WorkspaceSpec
 
 _SLACK = 1.0 + 1e-6

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from roboxim_core.poses import Array
 from roboxim_core.registry import Registry
-from roboxim_core.rendering import TriangleMesh
+from roboxim_core.vision.renderer import TriangleMesh
 
 if TYPE_CHECKING:
     import trimesh

@@ -28,7 +28,7 @@ from roboxim_core.models.hulls import hull_file, obj_references
 from roboxim_core.models.modifiers import ModifierModel
 from roboxim_core.models.urdf import LARGEST, urdf_object
 from roboxim_core.poses import Array, Pose, Vec3
-from roboxim_core.quaternions import quat_about
+from roboxim_core.rotation.quaternions import quat_about
 
 SHAPE_SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2, "hull": 0, "ring": 4}
 """Kind of a collision shape to how many sizes it has."""

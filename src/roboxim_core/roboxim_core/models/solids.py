@@ -6,7 +6,7 @@ import numpy as np
 
 from roboxim_core.models.meshes import triangles, visual_generators
 from roboxim_core.poses import Array
-from roboxim_core.rendering import TriangleMesh
+from roboxim_core.vision.renderer import TriangleMesh
 
 SLOT_STEPS = 4
 """Straight pieces of a quarter of a slot's round end."""

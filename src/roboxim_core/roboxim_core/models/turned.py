@@ -10,7 +10,7 @@ import numpy as np
 
 from roboxim_core.models.meshes import triangles, visual_generators
 from roboxim_core.poses import Array
-from roboxim_core.rendering import TriangleMesh
+from roboxim_core.vision.renderer import TriangleMesh
 
 CREASE_RAD = np.radians(35.0)
 """Where a profile turns by more, the surface has an edge."""

@@ -24,10 +24,10 @@ from roboxim_core.models.description import Visual
 from roboxim_core.models.library import ModelLibrary, mesh_path
 from roboxim_core.models.meshes import box_mesh, triangles, visual_generators
 from roboxim_core.poses import IDENTITY, Pose, Vec3
-from roboxim_core.rendering import RenderBody, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import CameraSpec, MaterialSpec, SceneSpec, TableSpec
 from roboxim_core.state import RobotState, StateRecord
 from roboxim_core.textures import base_color_image
+from roboxim_core.vision.renderer import RenderBody, RenderWorld, TriangleMesh, VisualPart
 
 if TYPE_CHECKING:
     import trimesh

@@ -1,6 +1,6 @@
 """Audit of datasets: faults that spoil training data, found by checks that anybody can add to.
 
-The checks here are pure. Ground truth (`Truth`) comes from whoever has it; in RoboXim `roboxim_bringup.runs.audit`
+The checks here are pure. Ground truth (`Truth`) comes from whoever has it; in RoboXim `roboxim_runs.datasets.audit`
 measures it from bags, with the judge and a renderer.
 """
 

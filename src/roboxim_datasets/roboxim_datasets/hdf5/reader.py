@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from roboxim_core.documents import parse_json, read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
+from roboxim_core.plain_data.documents import parse_json, read_json_object
 from roboxim_datasets.account import Account
 from roboxim_datasets.dataset import Dataset, Description, Features
 from roboxim_datasets.episode import EXECUTED, Episode, ImageSize, Step, Wanted, solved

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.documents import read_json_object, read_text
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, printable
+from roboxim_core.plain_data.documents import read_json_object, read_text
 from roboxim_datasets.files import file_in, files_below, has_file, reading
 from roboxim_datasets.lerobot.layout import TASKS_FILE
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_core.images import PNG_COMPRESSION, encode_image
+from roboxim_core.vision.images import PNG_COMPRESSION, encode_image
 from roboxim_datasets.build import ResumableBuild, write_files
 from roboxim_datasets.episode import Episode, Step
 from roboxim_datasets.lerobot.assemble import assemble

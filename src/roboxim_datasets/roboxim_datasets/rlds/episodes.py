@@ -12,10 +12,10 @@ import numpy as np
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import from_json, to_json
-from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError, InvalidRequestError
-from roboxim_core.images import encode_image
+from roboxim_core.plain_data.documents import parse_json
 from roboxim_core.proprioception import ProprioField, component_names
+from roboxim_core.vision.images import encode_image
 from roboxim_datasets.dataset import Features
 from roboxim_datasets.episode import (
     EXECUTED,

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
-from roboxim_core.images import ENCODINGS
+from roboxim_core.vision.images import ENCODINGS
 from roboxim_datasets.episode import MetaValue
 from roboxim_datasets.pictures import MOST_COMPONENTS, MOST_PIXELS, colour_picture
 from roboxim_datasets.rlds.tfrecord import Feature, decode_example, encode_example

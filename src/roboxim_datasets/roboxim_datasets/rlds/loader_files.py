@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.documents import read_json_object
 from roboxim_datasets.rlds.format import RldsFeatures
 from roboxim_datasets.rlds.tfrecord import decode_example, read_records
 from roboxim_datasets.statistics import VectorStatistics, dead_components

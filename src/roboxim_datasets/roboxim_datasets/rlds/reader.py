@@ -10,8 +10,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of, printable
+from roboxim_core.plain_data.documents import read_json_object
 from roboxim_datasets.account import Account, Kind
 from roboxim_datasets.dataset import Dataset, Description, Features
 from roboxim_datasets.episode import Episode, ImageSize

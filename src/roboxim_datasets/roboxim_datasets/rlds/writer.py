@@ -14,8 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError
+from roboxim_core.plain_data.documents import read_json_object
 from roboxim_datasets.rlds.format import RldsEpisode, RldsFeatures, encode_episode, features_to_json
 from roboxim_datasets.rlds.tfrecord import write_record
 

@@ -13,8 +13,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import PurePath
 from typing import Any
 
-from roboxim_core.differences import differences
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.differences import differences
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card
 from roboxim_eval.experiments.cells import cells_of

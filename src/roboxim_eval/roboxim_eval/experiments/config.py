@@ -15,7 +15,7 @@ from roboxim_core import limits
 from roboxim_core.config import from_plain, place
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError, one_of
-from roboxim_core.merging import merged
+from roboxim_core.plain_data.merging import merged
 from roboxim_eval.experiments.trainers import FORMAT, TRAINERS, TrainerConfig
 
 TASK = "task"

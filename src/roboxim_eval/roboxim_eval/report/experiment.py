@@ -18,7 +18,7 @@ from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_car
 from roboxim_eval.experiments.cells import chosen
 from roboxim_eval.experiments.cost import detectable_drop
 from roboxim_eval.experiments.design import Design
-from roboxim_eval.experiments.proofs import PICTURES
+from roboxim_eval.experiments.proving.proofs import PICTURES
 from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
 from roboxim_eval.report.charts.forest import RATES, ForestRow, Scale, difference_scale
 from roboxim_eval.report.charts.heat_map import HeatMap, difference_map, rate_map

@@ -36,8 +36,8 @@ from roboxim_core.state import EntityState, RobotState, StateRecord
 from roboxim_planner.node import PlannerNode
 from roboxim_ros import qos
 from roboxim_ros.clients import Clients
-from roboxim_ros.conversions import fill_pose
 from roboxim_ros.host import NodeHost
+from roboxim_ros.messages.conversions import fill_pose
 from roboxim_ros.testing import PATIENCE_S
 
 HOME = [0.0, -0.2, 0.0, -2.2, 0.0, 2.0, 0.785]

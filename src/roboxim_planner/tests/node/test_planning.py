@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 from roboxim_core import limits
 from roboxim_core.errors import ErrorCode
 from roboxim_core.poses import Pose
-from roboxim_ros.conversions import fill_pose
+from roboxim_ros.messages.conversions import fill_pose
 
 pytestmark = pytest.mark.ros
 

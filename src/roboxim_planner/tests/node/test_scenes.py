@@ -19,7 +19,7 @@ from shape_msgs.msg import Mesh, MeshTriangle, SolidPrimitive
 from roboxim_core.errors import ErrorCode
 from roboxim_core.poses import Pose
 from roboxim_core.state import EntityState
-from roboxim_ros.conversions import fill_pose, to_msg
+from roboxim_ros.messages.conversions import fill_pose, to_msg
 
 pytestmark = pytest.mark.ros
 

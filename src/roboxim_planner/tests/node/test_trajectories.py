@@ -9,7 +9,7 @@ from roboxim_interfaces.srv import CheckTrajectory, PlanToPose, RetimePath
 
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
-from roboxim_ros.conversions import fill_pose
+from roboxim_ros.messages.conversions import fill_pose
 
 pytestmark = pytest.mark.ros
 

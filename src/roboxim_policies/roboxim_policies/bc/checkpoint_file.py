@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.documents import parse_json
 from roboxim_core.proprioception import STATE_NAMES
 
 FORMAT = 5

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from roboxim_core.actions import ACTION_SIZE, ActionSemantics, GripperConvention
 from roboxim_core.errors import ConfigError, one_of
-from roboxim_core.images import resized
 from roboxim_core.proprioception import STATE_NAMES
+from roboxim_core.vision.images import resized
 from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import open_dataset
 from roboxim_policies.bc.features import (

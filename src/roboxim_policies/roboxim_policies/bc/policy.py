@@ -16,9 +16,9 @@ from jax import Array
 from roboxim_core.actions import ActionArray
 from roboxim_core.config import from_json, to_json
 from roboxim_core.errors import ConfigError
-from roboxim_core.images import resized
 from roboxim_core.policies import CameraRequirement, EpisodeStart, ObservationWindow
 from roboxim_core.proprioception import Proprioception
+from roboxim_core.vision.images import resized
 from roboxim_policies.base import BasePolicy
 from roboxim_policies.bc.checkpoint import load_checkpoint
 from roboxim_policies.bc.config import BCConfig

@@ -21,8 +21,8 @@ import optax
 from jax import Array
 
 from roboxim_core.config import from_json, to_json, to_plain
-from roboxim_core.differences import differences
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.differences import differences
 from roboxim_policies.bc.checkpoint import Checkpoint, Statistics, load_checkpoint, save_checkpoint
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.bc.data import Demonstrations

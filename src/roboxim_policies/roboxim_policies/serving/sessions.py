@@ -36,7 +36,7 @@ from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow, 
 from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_core.poses import Pose
 from roboxim_core.proprioception import Proprioception
-from roboxim_core.rotations import Floats, RotationRepresentation, encode
+from roboxim_core.rotation.representations import Floats, RotationRepresentation, encode
 from roboxim_policies.serving.instances import Instances
 from roboxim_policies.wires.openpi import OWN_SERVER
 from roboxim_policies.wires.parts import last_part

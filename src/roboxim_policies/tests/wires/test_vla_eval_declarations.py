@@ -21,7 +21,7 @@ from roboxim_core.conventions import load_convention
 from roboxim_core.conventions.states import StateField, StateInput, StatePart
 from roboxim_core.errors import PolicyError
 from roboxim_core.policies import EpisodeStart
-from roboxim_core.rotations import RotationRepresentation, decode, encode
+from roboxim_core.rotation.representations import RotationRepresentation, decode, encode
 from roboxim_policies.fitting import misfits
 from roboxim_policies.remote import RemotePolicy, probe_window
 from roboxim_policies.wires.vla_eval import VlaEvalWire

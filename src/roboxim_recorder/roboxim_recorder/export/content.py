@@ -33,7 +33,7 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, o
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.proprioception import STATE_FIELDS, Proprioception, ProprioField, component_names
-from roboxim_core.rotations import RotationRepresentation
+from roboxim_core.rotation.representations import RotationRepresentation
 from roboxim_datasets.dataset import Description, Features
 from roboxim_datasets.episode import EXECUTED, Floats, ImageSize, RGBImage
 from roboxim_datasets.rlds.episodes import USUAL_KEYS

@@ -13,7 +13,7 @@ from roboxim_core.actions.rows import ArmTrack, convert_rows
 from roboxim_core.config import to_json
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_core.proprioception import STATE_FIELDS, Proprioception, ProprioField, component_names
-from roboxim_core.rotations import RotationRepresentation
+from roboxim_core.rotation.representations import RotationRepresentation
 from roboxim_core.state import StateRecord
 from roboxim_datasets.episode import Episode, Floats, ImageSize, MetaValue, Step, Wanted
 from roboxim_recorder.bag import BagReader, BagTick

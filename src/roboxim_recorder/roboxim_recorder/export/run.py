@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Literal
 
 from roboxim_core.config import digest, to_json, to_plain
-from roboxim_core.documents import read_json_object
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.documents import read_json_object
 from roboxim_datasets.build import only_build
 from roboxim_datasets.card import card_path, write_card
 from roboxim_datasets.dataset import EXPORT_FILE, DatasetWriter, EncodingWriter

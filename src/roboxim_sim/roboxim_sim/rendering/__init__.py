@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from roboxim_core.registry import Registry
-from roboxim_core.rendering import Renderer
+from roboxim_core.vision.renderer import Renderer
 
 RENDERERS: Registry[Callable[[], Renderer]] = Registry("renderer")
 """Factories by renderer name; a plug-in registers its own under the entry point group ``roboxim.renderer``."""
@@ -28,7 +28,7 @@ def is_made_without_arguments(name: str, item: Callable[[], Renderer]) -> None:
     inspect.signature(item).bind()
     if isinstance(item, type):
         missing = [method for method in ("load", "render", "close") if not callable(getattr(item, method, None))]
-        assert not missing, f"it has no {', '.join(missing)}; see roboxim_core.rendering.Renderer"
+        assert not missing, f"it has no {', '.join(missing)}; see roboxim_core.vision.renderer.Renderer"
 
 
 @RENDERERS.register("raster")

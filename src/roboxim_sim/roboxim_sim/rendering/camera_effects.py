@@ -28,11 +28,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.cameras import ideal_camera, rays_of_pixels
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Pose
-from roboxim_core.rendering import CameraImages, Renderer, RenderWorld
 from roboxim_core.specs import CameraNoise, CameraSpec, SceneSpec
+from roboxim_core.vision.cameras import ideal_camera, rays_of_pixels
+from roboxim_core.vision.renderer import CameraImages, Renderer, RenderWorld
 
 MAX_SIZE = 4096
 """Maximum width and height of the pinhole image for a distorted one [px]."""

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Pose
-from roboxim_core.rendering import RenderBody, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import RGB, CameraSpec
+from roboxim_core.vision.renderer import RenderBody, RenderWorld, TriangleMesh, VisualPart
 from roboxim_sim.rendering.lod import coarse_meshes
 from roboxim_sim.rendering.textures import TILE_M
 

@@ -9,7 +9,7 @@ import fast_simplification
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.rendering import TriangleMesh
+from roboxim_core.vision.renderer import TriangleMesh
 
 CREASE_RAD = np.radians(45.0)
 """Faces that meet at a smaller angle are shaded as one smooth surface."""

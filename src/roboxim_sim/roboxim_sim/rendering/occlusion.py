@@ -13,7 +13,7 @@ import moderngl
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.rendering import TriangleMesh
+from roboxim_core.vision.renderer import TriangleMesh
 from roboxim_sim.rendering import shaders
 from roboxim_sim.rendering.gl import Buffer, Shader
 from roboxim_sim.rendering.lod import same

@@ -26,8 +26,8 @@ import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, SimError
 from roboxim_core.poses import Pose, look_at
-from roboxim_core.rendering import CameraImages, RenderWorld
 from roboxim_core.specs import CameraSpec, LightSpec
+from roboxim_core.vision.renderer import CameraImages, RenderWorld
 from roboxim_sim.rendering import photo_worker, textures
 from roboxim_sim.rendering.geometry import SURROUNDINGS, check_mesh, check_request, linear, textured
 from roboxim_sim.rendering.owner import Owner
@@ -61,7 +61,7 @@ def photo_python() -> Path:
 
 
 class PhotoRenderer:
-    """Path-tracing renderer, see the module; implements `roboxim_core.rendering.Renderer`."""
+    """Path-tracing renderer, see the module; implements `roboxim_core.vision.renderer.Renderer`."""
 
     name = "photo"
 
@@ -147,7 +147,7 @@ class PhotoRenderer:
     def render(
         self, poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]], *, colour: bool = True
     ) -> dict[str, CameraImages]:
-        """Draw all cameras of a tick; see `roboxim_core.rendering.Renderer`.
+        """Draw all cameras of a tick; see `roboxim_core.vision.renderer.Renderer`.
 
         Raises:
             InvalidRequestError: On a pose of an unknown body, or two cameras with the same name.

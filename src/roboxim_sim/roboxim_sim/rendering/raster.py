@@ -27,8 +27,8 @@ import numpy as np
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.poses import Pose
-from roboxim_core.rendering import CameraImages, RenderWorld
 from roboxim_core.specs import CameraSpec, LookSpec
+from roboxim_core.vision.renderer import CameraImages, RenderWorld
 from roboxim_sim.rendering import shaders
 from roboxim_sim.rendering.draw_lists import CONTACT_REACH_M, MAX_LIGHTS, Frame
 from roboxim_sim.rendering.geometry import Packer, check_request, check_world, texture_names
@@ -47,7 +47,7 @@ Cameras = Sequence[tuple[CameraSpec, Pose]]
 
 
 class RasterRenderer:
-    """OpenGL renderer, see the module; implements `roboxim_core.rendering.Renderer`."""
+    """OpenGL renderer, see the module; implements `roboxim_core.vision.renderer.Renderer`."""
 
     name = "raster"
 
@@ -104,7 +104,7 @@ class RasterRenderer:
             self._world = fresh, world.look
 
     def render(self, poses: Mapping[str, Pose], cameras: Cameras, *, colour: bool = True) -> dict[str, CameraImages]:
-        """Draw all cameras of a tick; see `roboxim_core.rendering.Renderer`.
+        """Draw all cameras of a tick; see `roboxim_core.vision.renderer.Renderer`.
 
         Raises:
             InvalidRequestError: On a pose of an unknown body, or two cameras with the same name.

@@ -7,9 +7,9 @@ from dataclasses import replace
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
-from roboxim_core.rendering import CameraImages, Renderer
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
+from roboxim_core.vision.renderer import CameraImages, Renderer
 from roboxim_sim.rendering.camera_effects import draw_frames
 
 

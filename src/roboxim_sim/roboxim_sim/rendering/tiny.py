@@ -19,8 +19,8 @@ from PIL import Image
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.poses import IDENTITY, Pose
-from roboxim_core.rendering import CameraImages, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.specs import CameraSpec, LightSpec, LookSpec
+from roboxim_core.vision.renderer import CameraImages, RenderWorld, TriangleMesh, VisualPart
 from roboxim_sim.bullet import pybullet
 from roboxim_sim.rendering import textures
 from roboxim_sim.rendering.geometry import check_mesh, check_request, textured
@@ -42,7 +42,7 @@ class _Part:
 
 
 class TinyRenderer:
-    """PyBullet's software renderer, see the module; implements `roboxim_core.rendering.Renderer`."""
+    """PyBullet's software renderer, see the module; implements `roboxim_core.vision.renderer.Renderer`."""
 
     name = "tiny"
     device = "PyBullet TinyRenderer"
@@ -80,7 +80,7 @@ class TinyRenderer:
     def render(
         self, poses: Mapping[str, Pose], cameras: Sequence[tuple[CameraSpec, Pose]], *, colour: bool = True
     ) -> dict[str, CameraImages]:
-        """Draw all cameras of a tick; see `roboxim_core.rendering.Renderer`.
+        """Draw all cameras of a tick; see `roboxim_core.vision.renderer.Renderer`.
 
         Raises:
             InvalidRequestError: On a pose of an unknown body, or two cameras with the same name.

@@ -12,9 +12,9 @@ from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
-from roboxim_tasks.placement import refusal
-from roboxim_tasks.rejection import RejectedError
 from roboxim_tasks.roles import distractor_role, task_distractors
+from roboxim_tasks.sampling.placement import refusal
+from roboxim_tasks.sampling.rejection import RejectedError
 from roboxim_tasks.task_config import TaskConfig
 
 TOOL = "tool"

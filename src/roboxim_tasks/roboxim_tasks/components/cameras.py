@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from roboxim_core.cameras import load_camera, with_noise_seed
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.visuals import camera_parent
 from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, SceneSpec
+from roboxim_core.vision.cameras import load_camera, with_noise_seed
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 

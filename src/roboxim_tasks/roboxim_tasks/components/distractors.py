@@ -13,9 +13,9 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array
 from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
-from roboxim_tasks.placement import Demand, PlacementConfig, centre, footprint, grown, nearest_distance, place
-from roboxim_tasks.rejection import RejectedError
 from roboxim_tasks.roles import task_distractors
+from roboxim_tasks.sampling.placement import Demand, PlacementConfig, centre, footprint, grown, nearest_distance, place
+from roboxim_tasks.sampling.rejection import RejectedError
 
 TARGET = "target"
 BLOCK = 20

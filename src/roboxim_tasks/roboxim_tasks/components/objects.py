@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import SceneSpec
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
-from roboxim_tasks.placement import Demand, PlacementConfig, place
 from roboxim_tasks.roles import task_objects
+from roboxim_tasks.sampling.placement import Demand, PlacementConfig, place
 from roboxim_tasks.task_config import TaskConfig
 
 

@@ -9,7 +9,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.specs import SceneSpec
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
-from roboxim_tasks.rejection import RejectedError
+from roboxim_tasks.sampling.rejection import RejectedError
 
 LIMIT_MARGIN_RAD = 0.05
 

@@ -8,8 +8,8 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
-from roboxim_tasks.placement import refusal, turned
-from roboxim_tasks.rejection import RejectedError
+from roboxim_tasks.sampling.placement import refusal, turned
+from roboxim_tasks.sampling.rejection import RejectedError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,10 +17,10 @@ from roboxim_core.registry import Registry
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.measures import Assessment, Evaluator
 from roboxim_tasks.motion import ExpertScene, Stage
 from roboxim_tasks.roles import STAY, Role
+from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 
 
 class Skill(ABC):
@@ -132,7 +132,7 @@ def draws_the_same_task_again(name: str, item: Skill) -> None:
     from roboxim_core.models.library import ModelLibrary
     from roboxim_core.seeds import SeedPath
     from roboxim_tasks.config import task_config
-    from roboxim_tasks.episodes import EpisodeGenerator
+    from roboxim_tasks.sampling.episodes import EpisodeGenerator
 
     files = [path for folder in config_dirs() for path in sorted((folder / "tasks").glob("*.yaml"))]
     shipped = (data for path in files if (data := load_yaml(path)) and data.get("skill") == name)

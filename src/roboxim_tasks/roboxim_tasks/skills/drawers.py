@@ -17,12 +17,12 @@ from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.handling import let_go
 from roboxim_tasks.measures import Condition, Measure, joint_position, seconds_between, with_last
 from roboxim_tasks.motion import retreated
-from roboxim_tasks.placement import footprint, overlap
 from roboxim_tasks.reach import reaches_in_lines
+from roboxim_tasks.sampling.generators import GenerationContext, generate_task
+from roboxim_tasks.sampling.placement import footprint, overlap
 
 APPROACH_M = 0.08
 OVERSHOOT_M = 0.02

@@ -24,10 +24,10 @@ from roboxim_core.models.description import ObjectModel
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.generators import GenerationContext
 from roboxim_tasks.measures import Condition, Conditions, above
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
 from roboxim_tasks.reach import start_clear
+from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.drawers import (

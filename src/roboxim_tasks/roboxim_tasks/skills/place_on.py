@@ -26,11 +26,11 @@ from roboxim_core.poses import Array
 from roboxim_core.specs import Scalar, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.handling import DROP_M
 from roboxim_tasks.measures import Condition, Conditions, Measure, above, force, table_force
 from roboxim_tasks.motion import ExpertScene, Stage
 from roboxim_tasks.reach import above_reachable, graspable, start_clear
+from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import GOAL_YAWS, fits, lies_still, put, raised, region_of, region_pose, upright
 

@@ -30,12 +30,12 @@ from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.files import named
-from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.handling import DROP_M
 from roboxim_tasks.measures import Condition, Conditions, Measure, above, offset, shift, table_force
 from roboxim_tasks.motion import ExpertScene, Stage
-from roboxim_tasks.placement import Room
 from roboxim_tasks.reach import downward_reachable, graspable, start_clear
+from roboxim_tasks.sampling.generators import GenerationContext, generate_task
+from roboxim_tasks.sampling.placement import Room
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import GOAL_YAWS, lies_still, put, upright
 

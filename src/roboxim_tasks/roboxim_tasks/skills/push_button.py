@@ -26,11 +26,11 @@ from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.files import named
-from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.handling import touching_links
 from roboxim_tasks.measures import Condition, Conditions, Measure, above, joint_highest_ever, joint_value
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
 from roboxim_tasks.reach import reaches_in_lines, start_clear
+from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 

@@ -22,12 +22,12 @@ from roboxim_core.poses import Pose
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.generators import GenerationContext, generate_task
 from roboxim_tasks.handling import DROP_M
 from roboxim_tasks.measures import Condition, Conditions, Measure, above, kept_upright, shift, table_force, turned
 from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage, grasp_poses, grasps_of, retreated, shifted
-from roboxim_tasks.placement import Room
 from roboxim_tasks.reach import reaches_in_lines, start_clear
+from roboxim_tasks.sampling.generators import GenerationContext, generate_task
+from roboxim_tasks.sampling.placement import Room
 from roboxim_tasks.script import APPROACH_M, SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import lies_still

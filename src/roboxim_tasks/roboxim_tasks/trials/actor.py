@@ -7,9 +7,9 @@ from roboxim_core.errors import TaskError
 from roboxim_core.kinematics import delta_between
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, PolicyDescription
+from roboxim_tasks.demonstration.planning import PlannerPort
+from roboxim_tasks.demonstration.solver import Solution, Solver
 from roboxim_tasks.motion import ExpertScene
-from roboxim_tasks.planning import PlannerPort
-from roboxim_tasks.solver import Solution, Solver
 from roboxim_tasks.trials.base import Trial
 
 

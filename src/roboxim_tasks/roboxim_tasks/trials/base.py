@@ -22,8 +22,8 @@ from typing import Any
 import yaml
 
 from roboxim_core.config import config_dirs
-from roboxim_core.documents import read_text
-from roboxim_core.merging import merged
+from roboxim_core.plain_data.documents import read_text
+from roboxim_core.plain_data.merging import merged
 from roboxim_core.registry import Registry
 from roboxim_tasks.motion import ExpertScene, Stage
 

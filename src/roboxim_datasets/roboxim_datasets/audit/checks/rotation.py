@@ -11,7 +11,7 @@ import numpy as np
 from roboxim_core.actions import ControlMode
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.proprioception import ProprioField
-from roboxim_core.rotations import RotationRepresentation, decode
+from roboxim_core.rotation.representations import RotationRepresentation, decode
 from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
 from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding
 from roboxim_datasets.episode import Floats

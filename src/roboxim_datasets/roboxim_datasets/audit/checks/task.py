@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.documents import parse_json
 from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
 from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding
 

@@ -1,6 +1,6 @@
 """Faults to plant in copies of datasets: for tests of the audit, and for experiments on what a fault costs.
 
-Each edits one episode's values. Faults that need the simulator are in `roboxim_bringup.runs.corruption`.
+Each edits one episode's values. Faults that need the simulator are in `roboxim_runs.datasets.corruption`.
 """
 
 from roboxim_datasets.audit.faults import edits

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from roboxim_core.actions import ControlMode
-from roboxim_core.documents import parse_json
 from roboxim_core.errors import ConfigError
-from roboxim_core.rotations import RotationRepresentation
+from roboxim_core.plain_data.documents import parse_json
+from roboxim_core.rotation.representations import RotationRepresentation
 from roboxim_datasets.audit.faults.values import DATASET_FAULTS, DatasetFault, EditableEpisode
 from roboxim_datasets.episode import Episode, Floats
 

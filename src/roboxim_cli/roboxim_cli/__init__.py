@@ -1,0 +1,1 @@
+"""The ``roboxim`` command: parse, call, print."""

@@ -1,0 +1,130 @@
+"""Draw the objects on one contact sheet; check, draft or simplify your own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from roboxim_cli.named import Named
+
+
+@click.group()
+def command() -> None:
+    """Draw the objects on one contact sheet; check, draft or simplify your own."""
+
+
+@command.command("sheet")
+@click.argument("objects", type=Named("object"), nargs=-1)
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), default="sheet.png", show_default=True)
+@click.option("--renderer", "renderer_name", default="raster", show_default=True, help="Renderer by name.")
+@click.option(
+    "--size", default=256, show_default=True, type=click.IntRange(32, 2048), help="Side of each picture [px]."
+)
+@click.option("--columns", default=5, show_default=True, type=click.IntRange(1), help="Pictures in a row.")
+@click.option("--labels/--no-labels", default=True, show_default=True, help="Names under the pictures.")
+@click.option("--shuffle", type=int, help="Seed of a random order, for a blind test; the order is printed.")
+@click.option("--variants", is_flag=True, help="Also draw each colour, material and size.")
+def sheet(
+    objects: tuple[str, ...],
+    out: Path,
+    renderer_name: str,
+    size: int,
+    columns: int,
+    labels: bool,
+    shuffle: int | None,
+    variants: bool,
+) -> None:
+    r"""Draw OBJECTS (default: all) on one contact sheet in the default look.
+
+    \b
+    roboxim assets sheet
+    roboxim assets sheet mug bowl --variants --out variants.png
+    roboxim assets sheet --no-labels --shuffle 7 --out blind.png
+    """
+    import numpy as np
+
+    from roboxim_core.config import digest
+    from roboxim_core.models.library import ModelLibrary
+    from roboxim_core.specs import EntitySpec, LookSpec, Scalar
+    from roboxim_runs.assets.sheet import contact_sheet, draw_object
+    from roboxim_sim.rendering import make_renderer
+
+    library = ModelLibrary()
+    entities, texts = [], []
+    for object_id in objects or library.object_ids:
+        given: list[dict[str, Scalar]] = [{}]
+        for kind, modifier in library.object_modifiers(object_id).items() if variants else ():
+            if words := modifier.words(kind) if kind in ("color", "material", "size") else ():
+                given += [{kind: word} for word in words if word != modifier.default]
+        for modifiers in given:
+            entities.append(EntitySpec(name=object_id, model=object_id, modifiers=modifiers))
+            texts.append(" ".join([*map(str, modifiers.values()), object_id]))
+    if shuffle is not None:
+        order = np.random.default_rng(shuffle).permutation(len(entities))
+        entities, texts = [entities[k] for k in order], [texts[k] for k in order]
+        click.echo("\n".join(f"{k + 1}: {text}" for k, text in enumerate(texts)))
+    renderer = make_renderer(renderer_name)
+    try:
+        pictures = [draw_object(renderer, library, entity, size) for entity in entities]
+    finally:
+        renderer.close()
+    picture = contact_sheet(pictures, texts if labels else None, columns)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    picture.save(out, optimize=True, quality=90)
+    click.echo(
+        f"wrote {out}: {len(pictures)} pictures, drawn by {renderer_name} on {renderer.device}, "
+        f"look {digest(LookSpec())}"
+    )
+
+
+@command.command("check")
+@click.argument("targets", nargs=-1, required=True)
+def check(targets: tuple[str, ...]) -> None:
+    r"""Check objects, given as ids or as paths of YAML files. The exit code is 1 when an object has errors.
+
+    \b
+    roboxim assets check mug
+    roboxim assets check my_objects/objects/teapot.yaml
+    """
+    from roboxim_core.errors import ErrorCode, RoboximError
+    from roboxim_core.models.library import ModelLibrary
+    from roboxim_runs.assets.check import check as check_one
+
+    library, errors = ModelLibrary(), 0
+    for target in targets:
+        found = check_one(target, library)
+        errors += any(finding.severity == "error" for finding in found)
+        click.echo(f"{target}: {'good' if not found else ''}".rstrip())
+        for finding in found:
+            click.echo(f"  {finding.severity}: {finding.message}")
+    if errors:
+        raise RoboximError(f"{errors} of {len(targets)} objects cannot be used as they are", ErrorCode.INVALID_CONFIG)
+
+
+@command.command("new")
+@click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+def new(mesh: Path) -> None:
+    r"""Print a draft YAML file for your MESH (GLB, OBJ, STL, ...); save it beside the mesh.
+
+    \b
+    roboxim assets new teapot.glb > teapot.yaml
+    """
+    from roboxim_runs.assets.check import starter
+
+    click.echo(starter(mesh), nl=False)
+
+
+@command.command("simplify")
+@click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "--triangles", default=1500, show_default=True, type=click.IntRange(20), help="Approximate number of triangles."
+)
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="[default: <mesh>_simple.glb]")
+def simplify(mesh: Path, triangles: int, out: Path | None) -> None:
+    """Write a copy of MESH with fewer triangles and the same materials."""
+    from roboxim_runs.assets.check import simplify as simplified
+
+    target = out or mesh.with_name(f"{mesh.stem}_simple.glb")
+    before, after = simplified(mesh, triangles, target)
+    click.echo(f"wrote {target}: {after} of {before} triangles")

@@ -1,0 +1,184 @@
+"""Describe, check, repair and play recorded episodes."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from roboxim_bringup.attach import attach_options
+
+_bag = click.Path(exists=True, path_type=Path)
+
+
+@click.group()
+def command() -> None:
+    """Describe, check, repair and play recorded episodes."""
+
+
+@command.command("info")
+@click.argument("path", type=_bag)
+def info(path: Path) -> None:
+    """Describe a bag, or a folder of bags. The exit code is 1 when a bag is damaged or holds no episode."""
+    from roboxim_core.errors import ErrorCode, RecorderError
+    from roboxim_recorder.summary import bag_info, dataset_summary
+
+    if path.is_file() or any(path.glob("*.mcap")) or any(path.glob("*.db3")):
+        click.echo(bag_info(path))
+        return
+    summary = dataset_summary(path)
+    click.echo(summary.text)
+    if summary.damaged:
+        total = summary.episodes + len(summary.damaged)
+        raise RecorderError(f"{len(summary.damaged)} of {total} bags are damaged", ErrorCode.BAG_DAMAGED)
+
+
+@command.command("check")
+@click.argument("paths", type=_bag, nargs=-1, required=True)
+def check(paths: tuple[Path, ...]) -> None:
+    """Check that bags are whole: every byte, tick and topic. For a run, also check that no bag is missing.
+
+    The exit code is 1 when a bag is damaged or missing.
+    """
+    from roboxim_core.errors import ErrorCode, RecorderError
+    from roboxim_recorder.bag import mcap_file
+    from roboxim_recorder.integrity.check import check_bag
+    from roboxim_recorder.run_bags import RunBags, run_bags
+
+    broken = total = missing = 0
+    for path in paths:
+        found = RunBags(paths=(mcap_file(path),)) if path.is_file() else run_bags(path)
+        missing += len(found.missing)
+        if found.missing:
+            click.echo(f"{path}: {found.missing_text}")
+        if found.unexpected:
+            click.echo(f"{path}: {found.unexpected_text}")
+        for bag in sorted((*found.paths, *found.unexpected)):
+            report = check_bag(bag)
+            total += 1
+            broken += not report.ok
+            state = "NO EPISODE" if report.foreign else "DAMAGED"
+            click.echo(f"{bag}: " + (f"whole, {report.ticks} ticks, {report.outcome}" if report.ok else state))
+            for line in (*report.problems, *report.notes):
+                click.echo(f"  {line}")
+    if broken or missing:
+        raise RecorderError(
+            f"{broken} of {total} bags are damaged or hold no episode" + f", {missing} are missing" * bool(missing),
+            ErrorCode.BAG_DAMAGED,
+        )
+
+
+@command.command("repair")
+@click.argument("path", type=_bag)
+@click.argument("out", type=click.Path(file_okay=False, path_type=Path), required=False)
+@click.option("--judge", is_flag=True, help="When the result is lost, execute the saved actions again and judge them.")
+def repair(path: Path, out: Path | None, judge: bool) -> None:
+    """Save the whole ticks of a damaged bag, up to the first gap, as a new bag in OUT.
+
+    By default OUT is the folder that the bag lies in. The new bag is called EPISODE.repaired. The original is only
+    read. An episode whose result is lost is an error (outcome_unknown), so that no export takes it for a success.
+
+    The exit code is 0 when nothing is lost, 1 when ticks or the result are lost, 2 when nothing can be saved.
+    """
+    from roboxim_recorder.integrity.repair import repair_bag
+
+    if judge:
+        from roboxim_runs.episodes.reexecution import rejudge
+
+        report = repair_bag(path, out, rejudge=rejudge)
+    else:
+        report = repair_bag(path, out)
+    click.echo(f"{path}: {report.text}")
+    for reason in report.reasons:
+        click.echo(f"  {reason}")
+    if report.target is not None:
+        click.echo(f"saved {report.target}")
+    if code := {"whole": 0, "lossy": 1, "nothing": 2}[report.state]:
+        sys.exit(code)
+
+
+@command.command("play")
+@click.argument("path", type=_bag)
+@click.option("-r", "--rate", default=1.0, show_default=True, help="Playback speed, relative to simulated time.")
+@click.option("-t", "--topic", "topics", multiple=True, help="Play this topic; may be repeated; default: all.")
+@click.option("--namespace", default="", help="Prefix of every topic, e.g. /bag.")
+@click.option("--wait/--no-wait", default=False, help="Wait for a subscriber before playing.")
+@attach_options
+def play(
+    path: Path,
+    rate: float,
+    topics: tuple[str, ...],
+    namespace: str,
+    wait: bool,
+    run_id: str | None,
+    domain: int | None,
+) -> None:
+    """Publish a bag's messages as they were recorded.
+
+    The messages go to the only live run (or --run). Without a live run, the player starts its own.
+    """
+    from roboxim_bringup.attach import Peer
+    from roboxim_cli.ros.node import membership
+    from roboxim_recorder.bag import BagReader
+
+    if rate <= 0:
+        raise click.UsageError("--rate must be greater than 0")
+    reader = BagReader(path)
+    with membership("play", run_id, domain, open_network=False, namespace=namespace) as member:
+        peer = Peer()
+        try:
+            publishers = _publishers(peer, reader, topics, namespace)
+            while wait and not any(publisher.get_subscription_count() for publisher in publishers.values()):
+                time.sleep(0.05)
+            click.echo(f"playing {len(reader)} ticks of {reader.path} into {member.where}; Ctrl-C ends it")
+            sent = _play(reader, publishers, rate)
+            _flush(publishers)
+        finally:
+            peer.close()
+    click.echo(f"published {sent} messages")
+
+
+def _publishers(peer: Any, reader: Any, topics: tuple[str, ...], namespace: str) -> dict[str, Any]:
+    from roboxim_bringup.attach import absolute
+    from roboxim_cli.messages import look_up
+    from roboxim_core.errors import ConfigError, one_of
+    from roboxim_ros.qos import SENSOR
+
+    wanted = [absolute(topic) for topic in topics] or list(reader.types)
+    for topic in wanted:
+        if topic not in reader.types:
+            raise ConfigError(f"the bag has no topic '{topic}'; {one_of(reader.types, topic)}")
+    prefix = absolute(namespace.strip("/")) if namespace.strip("/") else ""
+    return {
+        topic: peer.node.create_publisher(look_up(reader.types[topic], "msg"), f"{prefix}{topic}", SENSOR)
+        for topic in wanted
+    }
+
+
+def _play(reader: Any, publishers: dict[str, Any], rate: float) -> int:
+    """Publish the serialised messages at their recorded times; return their number."""
+    from mcap.reader import make_reader
+
+    from roboxim_recorder.bag import damage
+
+    sent = 0
+    started = time.monotonic()
+    first: int | None = None
+    with damage(reader.path), reader.file.open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages(topics=list(publishers)):
+            first = message.log_time if first is None else first
+            due = started + (message.log_time - first) / 1e9 / rate
+            time.sleep(max(0.0, due - time.monotonic()))
+            publishers[channel.topic].publish(message.data)
+            sent += 1
+    return sent
+
+
+def _flush(publishers: dict[str, Any]) -> None:
+    from rclpy.duration import Duration
+
+    for publisher in publishers.values():
+        publisher.wait_for_all_acked(Duration(seconds=2))

@@ -1,0 +1,214 @@
+"""Describe, compare, convert, merge, split and check datasets."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from roboxim_cli.options import keep_lines
+from roboxim_core.whole_files import write_whole
+
+_PREFIX = "_dataset_"
+_path = click.Path(path_type=Path)
+
+
+class _Subcommands(click.Group):
+    """A group with one subcommand for each ``_dataset_<name>.py`` beside this file, imported when it runs."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the files, with the subcommands that are registered here."""
+        files = Path(__file__).parent.glob(f"{_PREFIX}*.py")
+        return sorted({*super().list_commands(ctx), *(file.stem.removeprefix(_PREFIX) for file in files)})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a subcommand."""
+        registered = super().get_command(ctx, cmd_name)
+        if registered is not None or cmd_name not in self.list_commands(ctx):
+            return registered
+        command: click.Command = importlib.import_module(f"{__package__}.{_PREFIX}{cmd_name}").command
+        keep_lines(command)
+        return command
+
+
+class _Formats(click.Group):
+    """A group with a subcommand for every registered format of datasets."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the formats."""
+        from roboxim_datasets.formats import FORMATS
+
+        return list(FORMATS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Build a format's command from its options."""
+        from roboxim_cli.field_options import field_options
+        from roboxim_datasets.formats import FORMATS
+
+        if cmd_name not in FORMATS:
+            return None
+        options = FORMATS[cmd_name]().options
+        own = field_options(options)
+        doc = (FORMATS[cmd_name].__doc__ or "").splitlines()[0]
+
+        def convert(source: Path, target: Path, overwrite: bool, fps: float, **given: Any) -> None:
+            _convert(cmd_name, options(**given), source, target, overwrite, fps)
+
+        params: list[click.Parameter] = [
+            click.Argument(["source"], type=_path),
+            click.Argument(["target"], type=_path),
+            *own,
+            click.Option(["--fps"], type=float, default=0.0, help="Steps per second of a source that does not say it."),
+            click.Option(["--overwrite"], is_flag=True, help="Replace an existing dataset."),
+        ]
+        return click.Command(
+            cmd_name, params=params, callback=convert, short_help=doc,
+            help=f"{doc}\n\nThe same command continues an interrupted conversion. The source is only read.",
+        )  # fmt: skip
+
+
+@click.group(cls=_Subcommands)
+def command() -> None:
+    """Describe, compare, convert, merge, split and check datasets of any format, RoboXim's or another tool's."""
+
+
+@command.command("info")
+@click.argument("dataset", type=_path)
+@click.option("--card", is_flag=True, help="Print the card (README.md) instead.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, with everything that the files hold.")
+def info(dataset: Path, card: bool, as_json: bool) -> None:
+    """Describe a dataset: format, episodes, cameras, meaning of the actions, tasks, origin, and what is not read."""
+    from roboxim_datasets import card as cards
+    from roboxim_datasets.formats import open_dataset
+
+    opened = open_dataset(dataset)
+    counts = cards.count(opened)
+    if as_json:
+        click.echo(json.dumps(cards.summary_json(opened, counts), indent=2))
+    else:
+        click.echo(cards.card(opened, counts) if card else cards.summary(opened, counts))
+
+
+@command.command("diff")
+@click.argument("a", type=_path)
+@click.argument("b", type=_path)
+@click.option(
+    "--images", type=click.Choice(["auto", "exact", "psnr", "skip"]), default="auto", show_default=True,
+    help="Compare images exactly, or by their PSNR; auto: exactly if both datasets are lossless.",
+)  # fmt: skip
+@click.option("--psnr", default=30.0, show_default=True, help="Lowest PSNR of an image that counts as equal [dB].")
+@click.option("--ignore", multiple=True, metavar="NAME", help="Camera, vector or signal to leave out; may be repeated.")
+def diff(a: Path, b: Path, images: Any, psnr: float, ignore: tuple[str, ...]) -> None:
+    """Prove that two datasets of any formats are equal, or name what differs.
+
+    Actions, states and signals are compared bit for bit as float32; lengths, instructions, ids and the order too. The
+    exit code is 1 when they differ.
+    """
+    from roboxim_cli.printer import EventPrinter
+    from roboxim_datasets.compare import comparison_text
+    from roboxim_runs.datasets.rewriting import compare_datasets
+
+    with EventPrinter() as printer:
+        found = compare_datasets(a, b, images=images, lowest_psnr_db=psnr, ignore_names=ignore, on_event=printer)
+    click.echo(comparison_text(found, {"a": str(a), "b": str(b)}))
+    if not found.equal:
+        raise SystemExit(1)
+
+
+@command.group("convert", cls=_Formats)
+def convert() -> None:
+    r"""Write a dataset in another format.
+
+    \b
+    roboxim dataset convert lerobot runs/demos-rlds runs/demos-lerobot --version 2.1
+    """
+
+
+def _convert(name: str, options: Any, source: Path, target: Path, overwrite: bool, fps: float) -> None:
+    from roboxim_cli.printer import EventPrinter
+    from roboxim_runs.datasets.rewriting import convert_dataset
+
+    with EventPrinter() as printer:
+        written = convert_dataset(source, target, name, options, fps=fps, overwrite=overwrite, on_event=printer)
+    _print_written(written)
+
+
+@command.command("merge")
+@click.argument("sources", type=_path, nargs=-1, required=True)
+@click.argument("target", type=_path)
+@click.option("--overwrite", is_flag=True, help="Replace an existing dataset.")
+def merge(sources: tuple[Path, ...], target: Path, overwrite: bool) -> None:
+    """Write datasets of one format as one. They must have the same features, meaning of actions and robot.
+
+    The sources are only read. The same command continues an interrupted merge.
+    """
+    from roboxim_cli.printer import EventPrinter
+    from roboxim_runs.datasets.rewriting import merge_datasets
+
+    with EventPrinter() as printer:
+        _print_written(merge_datasets(sources, target, overwrite=overwrite, on_event=printer))
+
+
+@command.command("split")
+@click.argument("source", type=_path)
+@click.argument("target", type=_path)
+@click.option(
+    "--into", required=True, metavar="train=90,val=10", help="Splits and their numbers of episodes; 0: the rest."
+)
+@click.option("--apart", is_flag=True, help="Write each split as a dataset of its own, TARGET/<split>.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing dataset.")
+def split(source: Path, target: Path, into: str, apart: bool, overwrite: bool) -> None:
+    """Divide the episodes of a dataset into other splits, each spread evenly over the whole.
+
+    LeRobot's trainers ignore splits: --apart gives them datasets of their own. The source is only read. The same
+    command continues an interrupted one.
+    """
+    from roboxim_cli.options import parse_counts
+    from roboxim_cli.printer import EventPrinter
+    from roboxim_runs.datasets.rewriting import split_dataset
+
+    with EventPrinter() as printer:
+        found = split_dataset(
+            source, target, parse_counts("--into", into), apart=apart, overwrite=overwrite, on_event=printer
+        )
+    for written in {written.path: written for written in found.values()}.values():
+        _print_written(written)
+
+
+@command.command("view")
+@click.argument("dataset", type=_path)
+@click.option("--episode", type=click.IntRange(0), default=0, show_default=True, help="Number, through all splits.")
+@click.option("--frames", type=click.IntRange(1), default=12, show_default=True, help="Frames of each camera.")
+@click.option(
+    "--out", type=_path, help="File to write: .html (frames and plots), .png or .jpg (frames). "
+    "[default: episode-<number>.html]",
+)  # fmt: skip
+def view(dataset: Path, episode: int, frames: int, out: Path | None) -> None:
+    """Write a page or a picture of an episode: its frames, and the course of its actions and observations."""
+    from roboxim_core.errors import ConfigError
+    from roboxim_datasets.formats import open_dataset
+    from roboxim_datasets.view import contact_sheet, encoded, page
+
+    file = out or Path(f"episode-{episode}.html")
+    kinds = {".html": "", ".png": "PNG", ".jpg": "JPEG"}
+    if file.suffix not in kinds:
+        raise ConfigError(f"--out must end in {', '.join(kinds)}, got {file}")
+    opened = open_dataset(dataset)
+    found = opened.episode(episode)
+    if kinds[file.suffix]:
+        write_whole(file, encoded(contact_sheet(found, frames), kinds[file.suffix]))
+    else:
+        write_whole(file, page(found, opened.features.action, frames))
+    click.echo(f"{file}: {found.instruction} ({found.length} steps)")
+
+
+def _print_written(written: Any) -> None:
+    from roboxim_datasets.account import lines
+
+    splits = ", ".join(f"{count} in {split}" for split, count in written.splits.items())
+    click.echo(f"{written.path}: {splits}")
+    for line in (*lines("note", written.changed), *lines("left out", written.left_out)):
+        click.echo(line)

@@ -1,0 +1,39 @@
+"""Serve the Gymnasium environments to programs of other Python environments."""
+
+from __future__ import annotations
+
+import click
+
+
+@click.group()
+def command() -> None:
+    """Serve the Gymnasium environments to programs of other Python environments, e.g. LeRobot."""
+
+
+@command.command("serve")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen at.")
+@click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True, help="Port; 0: any.")
+@click.option("--most", type=click.IntRange(1, 64), default=8, show_default=True, help="Environments at the same time.")
+def serve(host: str, port: int, most: int) -> None:
+    r"""Serve environments over a WebSocket; each connection is one environment.
+
+    \b
+    roboxim gymnasium serve
+    pip install plugins/lerobot_env_roboxim          # in LeRobot's Python
+    lerobot-eval --env.type=roboxim --env.task=pick_cube --policy.path=...
+
+    The environments of one server share a process. Start several servers, at several ports, to run them in parallel.
+    """
+    import signal
+    import threading
+
+    from roboxim_runs.environments.serving import EnvironmentServer
+
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with EnvironmentServer(host=host, port=port, most=most, log=lambda text: click.echo(text, err=True)) as server:
+        click.echo(f"environments at {server.url}; Ctrl-C stops the server")
+        if host not in ("127.0.0.1", "::1", "localhost"):
+            click.echo("anybody who can reach this address can run episodes", err=True)
+        stop.wait()

@@ -1,0 +1,148 @@
+"""Run a benchmark of several experiments, and write its card and report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from roboxim_cli.named import Named
+from roboxim_cli.options import with_executor, with_training_resources
+from roboxim_core.whole_files import write_whole
+
+REPORT = "report"
+
+
+class _Benchmarks(click.Group):
+    """A subcommand for each file of ``config/benchmark``."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the benchmarks and the fixed subcommands."""
+        from roboxim_core.config_folders import config_names
+
+        return [*config_names("benchmark"), *super().list_commands(ctx)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a fixed subcommand, or the one that runs a benchmark."""
+        if found := super().get_command(ctx, cmd_name):
+            return found
+        if cmd_name not in self.list_commands(ctx) and not cmd_name.endswith((".yaml", ".yml")):
+            from roboxim_core.errors import one_of
+
+            ctx.fail(f"no benchmark '{cmd_name}'; {one_of(self.list_commands(ctx), cmd_name)}")
+        return _run_command(cmd_name)
+
+
+@click.group(cls=_Benchmarks)
+def command() -> None:
+    """Run a benchmark of several experiments, and write its card and report."""
+
+
+def _run_command(name: str) -> click.Command:
+    @click.command(name)
+    @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
+    @click.option("--scale", default="full", show_default=True, help="Scale: smoke, laptop, night or full.")
+    @click.option(
+        "--trainer", default="", metavar="NAME",
+        help="Trainer: a name in the files or in config/trainers, or a YAML file; default: the files' first one.",
+    )  # fmt: skip
+    @click.option(
+        "--policy", "policies", multiple=True, metavar="EXPERIMENT.CONDITION[.R]=SPEC",
+        help="Policy of a condition that was trained elsewhere; may be repeated.",
+    )  # fmt: skip
+    @click.option(
+        "--option", "policy_options", multiple=True, metavar="EXPERIMENT.CONDITION[.R].KEY=VALUE",
+        help="Argument of such a policy; may be repeated.",
+    )  # fmt: skip
+    @click.option(
+        "--experiment", "experiments", multiple=True, metavar="NAME",
+        help="Run only this experiment of the benchmark; may be repeated.",
+    )  # fmt: skip
+    @click.option(
+        "--card", "cards", multiple=True, metavar="FILE", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+        help="Card of an experiment that ran on another machine; may be repeated.",
+    )  # fmt: skip
+    @click.option("--only", default="", metavar="KINDS", help="Kinds of stages: generate,export,train,evaluate.")
+    @click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
+    @click.option(
+        "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
+        help="Trainings of an experiment at a time; they share processors and GPUs. Results do not depend on it.",
+    )  # fmt: skip
+    @click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer.")
+    @with_training_resources
+    @with_executor
+    def run(
+        out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...],
+        experiments: tuple[str, ...], cards: tuple[Path, ...], only: str, workers: int | None, trainings: int,
+        renderer: str, executor: str, address: str, resources: str, training_resources: str,
+    ) -> None:  # fmt: skip
+        """Run the experiments of this benchmark in subfolders of OUT; the same command continues."""
+        from contextlib import nullcontext
+
+        from roboxim_cli.options import make_executor
+        from roboxim_cli.printer import EventPrinter
+        from roboxim_runs.experiments.benchmark import BenchmarkRunConfig, run_benchmark
+        from roboxim_runs.experiments.run import KINDS, named_policies
+
+        config = BenchmarkRunConfig(
+            benchmark=name, scale=scale, out=out, trainer=trainer, trainings=trainings, renderer=renderer,
+            policies=named_policies(policies, policy_options), experiments=experiments, cards=cards,
+            only=tuple(word.strip() for word in only.split(",")) if only else KINDS,
+            **({} if workers is None else {"workers": workers}),
+        )  # fmt: skip
+        runs_on = make_executor(executor, address, resources, config.workers)
+        trains_on = make_executor(
+            executor, address, training_resources, config.trainings, option="--training-resources"
+        )
+        with EventPrinter() as printer, runs_on or nullcontext():
+            result = run_benchmark(config, executor=runs_on, training_executor=trains_on, on_event=printer)
+        if result.card is None:
+            click.echo(f"missing: {', '.join(result.missing)}")
+            return
+        for sentence in result.card.sentences:
+            click.echo(sentence)
+        click.echo(f"card: {out / 'card.json'}")
+        click.echo(f"report: {out / 'report.html'}")
+
+    return run
+
+
+@command.command(REPORT)
+@click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False)
+@click.option(
+    "--from", "card", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",
+    help="A card.json alone instead of a run's folder.",
+)  # fmt: skip
+@click.option("--html", type=click.Path(path_type=Path), help="File of the page that --from writes; default: none.")
+@click.option("--markdown", type=click.Path(path_type=Path), help="Also write sentences and tables to this file.")
+def report(folder: Path | None, card: Path | None, html: Path | None, markdown: Path | None) -> None:
+    """Check the results of a benchmark's folder or card, print them, and write FOLDER/report.html."""
+    from roboxim_core.errors import ConfigError
+    from roboxim_runs.experiments.benchmark import (
+        benchmark_card_page,
+        benchmark_warnings,
+        stored_benchmark_card,
+        write_benchmark_report,
+    )
+
+    if (folder is None) == (card is None):
+        raise ConfigError("name the folder of a benchmark, or a card with --from CARD")
+    page = html
+    if folder is not None:
+        found, page = write_benchmark_report(folder), folder / "report.html"
+    else:
+        assert card is not None
+        found = stored_benchmark_card(card)
+        if html is not None:
+            write_whole(html, benchmark_card_page(found))
+    if markdown is not None:
+        from roboxim_eval.report.markdown import benchmark_markdown
+
+        write_whole(markdown, benchmark_markdown(found, warnings=benchmark_warnings(found)))
+    click.echo(f"{found.name}, scale {found.scale}")
+    for sentence in found.sentences:
+        click.echo(f"  {sentence}")
+    click.echo(f"  sha256 {found.sha256}")
+    for one in (page, markdown):
+        if one is not None:
+            click.echo(f"report: {one}")

@@ -1,0 +1,414 @@
+"""Plan, run, report and compare experiments: which way to train a policy is better, and how sure is that."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from roboxim_cli.commands.stages import _experiment_calibrate
+from roboxim_cli.named import Named
+from roboxim_cli.options import with_executor, with_training_resources
+from roboxim_core.whole_files import write_whole
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from roboxim_eval.experiments import ExperimentConfig, Rates
+
+
+@click.group()
+def command() -> None:
+    """Plan, run, report and compare experiments: which way to train a policy is better, and how sure is that."""
+
+
+@command.command("list")
+def list_experiments() -> None:
+    """List the experiments and benchmarks, with the time that each scale takes on this machine.
+
+    A file that is invalid is reported as an error at the end, after the others.
+    """
+    from roboxim_cli.catalog import catalog
+    from roboxim_core.errors import ConfigError
+
+    known = catalog("experiments")
+    click.secho("experiments (roboxim experiment plan NAME --scale SCALE)", bold=True)
+    for name, entry in known["experiments"].items():
+        scales = ", ".join(f"{scale} {time}".rstrip() for scale, time in entry["scales"].items())
+        click.echo(f"  {name:<30} {entry['thesis'] or '-':<7} {entry['about']}")
+        click.echo(f"  {'':<30} {'':<7} {scales}")
+    click.secho("benchmarks (roboxim experiment plan --benchmark NAME --scale SCALE)", bold=True)
+    for name, entry in known["benchmarks"].items():
+        click.echo(f"  {name:<30} {entry['thesis'] or '-':<7} {entry['about']}")
+        scales = ", ".join(f"{scale} {time}".rstrip() for scale, time in entry["scales"].items())
+        click.echo(f"  {'':<30} {'':<7} {', '.join(entry['experiments'])}")
+        click.echo(f"  {'':<30} {'':<7} {scales}")
+    if not known["measured"]:
+        click.echo("times are unknown: 'roboxim experiment calibrate' measures this machine's rates in a few minutes")
+    if known["broken"]:
+        raise ConfigError("\n".join(known["broken"].values()))
+
+
+@command.command("plan")
+@click.argument("name", type=Named("experiment"), default="")
+@click.option("--benchmark", default="", help="Plan all experiments of a benchmark of config/benchmark instead.")
+@click.option("--scale", default="full", show_default=True, help="Scale of the file: smoke, laptop, night or full.")
+@click.option(
+    "--trainer", default="", metavar="NAME",
+    help="Trainer: a name in the file or in config/trainers, or a YAML file; default: the file's first one.",
+)  # fmt: skip
+@click.option("--budget", default="", metavar="TIME", help="Time that it may take, e.g. 8h or 90min; trainings first.")
+@click.option(
+    "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
+    help="Trainings at a time, as for 'experiment run'.",
+)  # fmt: skip
+@click.option("--no-probe", is_flag=True, help="Do not measure this machine for a minute if no rates are stored.")
+@click.option("--write", type=click.Path(path_type=Path), help="Folder for the task mixes that it consists of.")
+@click.option(
+    "--file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+    help="Write the experiment of this scale and budget to a file, for 'experiment run FILE'.",
+)  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def plan(
+    name: str, benchmark: str, scale: str, trainer: str, budget: str, trainings: int, no_probe: bool,
+    write: Path | None, file: Path | None, as_json: bool,
+) -> None:  # fmt: skip
+    r"""Print what an experiment runs, how long it takes, and which difference it can find. Starts none of it.
+
+    Times come from this machine's last run of the experiment. If there is none with this image size, or none with so
+    many trainings at a time, a probe of about a minute measures them.
+
+    \b
+    roboxim experiment plan skill_object --scale laptop
+    roboxim experiment plan skill_object --scale laptop --budget 8h --file mine.yaml
+    roboxim experiment plan skill_object --scale laptop --trainings 2
+    roboxim experiment plan --benchmark transfer --scale night
+    """
+    import json
+
+    from roboxim_core.errors import ConfigError
+    from roboxim_eval.experiments.cost import fitted
+    from roboxim_runs.experiments.calibration.rates import stored_rates
+    from roboxim_runs.experiments.files import (
+        benchmark_experiments,
+        checked_design,
+        fitted_experiment,
+        load_benchmark,
+        load_experiment,
+        trainer_name,
+        write_experiment,
+        write_mixes,
+    )
+    from roboxim_runs.experiments.plan import hours, known_cost, plan_data, plan_lines
+
+    if bool(name) == bool(benchmark):
+        raise ConfigError("name one experiment, or --benchmark NAME")
+    if benchmark and file is not None:
+        raise ConfigError("--file writes one experiment; plan each experiment of the benchmark by its name")
+    configs = (
+        benchmark_experiments(load_benchmark(benchmark), scale, trainer)
+        if benchmark
+        else {name: load_experiment(name, scale, trainer=trainer)}
+    )
+    most = {key: trainings if budget else _at_once(key, config, trainer, trainings) for key, config in configs.items()}
+    rates_of: dict[str, Rates | None] = {}
+    for key, config in configs.items():
+        rates_of[key] = known = stored_rates(config.image_size, Path(key).stem)
+        if config.datasets and not no_probe:
+            rates_of[key] = _experiment_calibrate.probed(key, config, known, most[key])
+    if budget:
+        if None in rates_of.values():
+            raise ConfigError("--budget needs this machine's rates: run 'roboxim experiment calibrate' first")
+        seconds = duration_s(budget) / len(configs)
+        for key, config in configs.items():
+            rates = rates_of[key]
+            assert rates is not None
+            sized = fitted(config, rates, seconds, trainer_name(config, trainer), trainings)
+            if sized is None:
+                raise ConfigError(
+                    f"no size of '{key}' takes less than {hours(seconds)}; a training alone may take longer"
+                )
+            configs[key] = fitted_experiment(key, scale, sized, trainer)
+    designs = {key: checked_design(key, config, trainer) for key, config in configs.items()}
+    if as_json:
+        plans = [plan_data(key, scale, design, rates_of[key], trainings) for key, design in designs.items()]
+        click.echo(json.dumps(plans, indent=2))
+    else:
+        for key, design in designs.items():
+            click.echo("\n".join(plan_lines(key, scale, design, rates_of[key], trainings)))
+        costs = [cost for key, design in designs.items() if (cost := known_cost(design, rates_of[key], trainings))]
+        if len(designs) > 1 and len(costs) == len(designs):
+            disk = sum(cost.disk_bytes for cost in costs) / 1e9
+            click.echo(f"in all: {hours(sum(cost.total_s for cost in costs))}, {disk:.1f} GB")
+    if file is not None:
+        write_experiment(configs[name], file)
+        click.echo(f"wrote {file}: roboxim experiment run {file} --out OUT", err=as_json)
+    if write is not None:
+        for key, design in designs.items():
+            for path in write_mixes(design, write / key if benchmark else write):
+                click.echo(f"wrote {path}", err=as_json)
+
+
+@command.command("run")
+@click.argument("name", type=Named("experiment"))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
+@click.option("--scale", default="full", show_default=True, help="Scale of the file: smoke, laptop, night or full.")
+@click.option(
+    "--trainer", default="", metavar="NAME",
+    help="Trainer: a name in the file or in config/trainers, or a YAML file; default: the file's first one.",
+)  # fmt: skip
+@click.option(
+    "--policy", "policies", multiple=True, metavar="CONDITION[.R]=SPEC",
+    help="Policy of a condition, or of its replicate R, that was trained elsewhere; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--option", "policy_options", multiple=True, metavar="CONDITION[.R].KEY=VALUE",
+    help="Argument of such a policy, e.g. leave_out.0.checkpoint=PATH; may be repeated.",
+)  # fmt: skip
+@click.option("--only", default="", metavar="KINDS", help="Kinds of stages: generate,export,train,evaluate.")
+@click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
+@click.option(
+    "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
+    help="Trainings at a time; they share processors and GPUs. Results do not depend on it.",
+)  # fmt: skip
+@click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer of the images.")
+@click.option(
+    "--shard", default="", metavar="I/N",
+    help="Run only the I-th of N parts of the episodes; with --only generate or --only evaluate.",
+)  # fmt: skip
+@click.option(
+    "--trained", type=click.Path(path_type=Path, exists=True), metavar="WHOLE",
+    help="Folder of the whole experiment, whose trainings a shard evaluates.",
+)  # fmt: skip
+@with_training_resources
+@with_executor
+def run(
+    name: str, out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...],
+    only: str, workers: int | None, trainings: int, renderer: str, shard: str, trained: Path | None, executor: str,
+    address: str, resources: str, training_resources: str,
+) -> None:  # fmt: skip
+    r"""Run the stages of an experiment that OUT lacks: demonstrations, exports, trainings, evaluations.
+
+    \b
+    roboxim experiment run skill_object --scale smoke --out runs/smoke
+    roboxim experiment run skill_object --scale laptop --trainings 2 --out runs/so
+    roboxim experiment run skill_object --only generate,export --out runs/so
+    roboxim experiment run skill_object --trainer external --out runs/so --policy leave_out.0=client.py:Octo ...
+    roboxim experiment run skill_object --trainer my_trainer.yaml --out runs/mine
+
+    Ctrl-C stops, and trainings save their checkpoints; the same command continues. A stage whose inputs have changed is
+    refused by name. When all evaluations are there, OUT/card.json has the counts, scores and sentences.
+
+    \b
+    On several machines, here two, each with a folder of its own:
+    roboxim experiment run skill_object --only generate --shard 1/2 --out runs/so-1      # and 2/2 to runs/so-2
+    roboxim merge runs/so runs/so-1 runs/so-2
+    roboxim experiment run skill_object --only generate,export,train --out runs/so
+    roboxim experiment run skill_object --only evaluate --shard 1/2 --trained runs/so --out runs/so-1
+    roboxim merge runs/so runs/so-1 runs/so-2
+    roboxim experiment run skill_object --out runs/so                                    # proofs and results
+    """
+    from contextlib import nullcontext
+
+    from roboxim_cli.options import make_executor
+    from roboxim_cli.printer import EventPrinter
+    from roboxim_runs.experiments.run import KINDS, ExperimentRunConfig, named_policies, run_experiment
+
+    given: dict[str, Any] = {} if workers is None else {"workers": workers}
+    config = ExperimentRunConfig(
+        experiment=name, scale=scale, out=out, trainer=trainer, policies=named_policies(policies, policy_options),
+        only=tuple(word.strip() for word in only.split(",")) if only else KINDS, renderer=renderer,
+        shard=shard, trained=trained or "", trainings=trainings, **given,
+    )  # fmt: skip
+    runs_on = make_executor(executor, address, resources, config.workers)
+    trains_on = make_executor(executor, address, training_resources, config.trainings, option="--training-resources")
+    with EventPrinter() as printer, runs_on or nullcontext():
+        result = run_experiment(config, on_event=printer, executor=runs_on, training_executor=trains_on)
+    if shard:
+        click.echo(f"shard {shard} has its episodes of: {', '.join(result.finished) or 'no stage'}")
+        click.echo(f"next, when all shards are there: roboxim merge {trained or 'WHOLE'} {out} ...")
+        return
+    click.echo(f"{len(result.finished)} of {len(result.finished) + len(result.missing)} stages are finished in {out}")
+    if result.card is None:
+        click.echo(f"missing: {', '.join(result.missing)}")
+        for name in result.waiting:
+            key = name.removeprefix("evaluate/")
+            click.echo(f"{name} waits for a policy that is trained elsewhere: name it with --policy {key}=SPEC")
+        return
+    for sentence in result.card.sentences:
+        click.echo(sentence)
+    click.echo(f"card: {out / 'card.json'}")
+    click.echo(f"report: {out / 'report.html'}")
+
+
+@command.command("report")
+@click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False)
+@click.option(
+    "--from", "card", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",
+    help="A card.json alone instead of a run's folder.",
+)  # fmt: skip
+@click.option("--html", type=click.Path(path_type=Path), help="File of the page that --from writes; default: none.")
+@click.option("--markdown", type=click.Path(path_type=Path), help="Also write sentences and tables to this file.")
+@click.option("--films", type=click.IntRange(0), default=8, show_default=True, help="Films of each condition.")
+@click.option("--evaluations", is_flag=True, help="Also write a page for each evaluation, beside its bags.")
+def report(
+    folder: Path | None, card: Path | None, html: Path | None, markdown: Path | None, films: int, evaluations: bool
+) -> None:
+    r"""Check the results of a run's folder or of a card, print them, and write a page.
+
+    \b
+    roboxim experiment report runs/so                           # writes runs/so/report.html
+    roboxim experiment report runs/so --evaluations             # and runs/so/evaluate/*/report.html
+    roboxim experiment report --from card.json --html page.html
+
+    Scores and sentences are computed again from the counts. A card that states others is refused, and so is one whose
+    results have changed. The page is one file that opens offline.
+    """
+    from roboxim_core.errors import ConfigError
+    from roboxim_runs.experiments.report import (
+        ExperimentFolder,
+        card_page,
+        card_warnings,
+        folder_card,
+        stored_card,
+        write_evaluation_pages,
+        write_experiment_report,
+    )
+
+    if (folder is None) == (card is None):
+        raise ConfigError("name the folder of a run, or a card with --from CARD")
+    if evaluations and folder is None:
+        raise ConfigError("--evaluations needs the folder of a run: a card has no episodes")
+    pages: list[Path] = []
+    if folder is not None:
+        there = ExperimentFolder.of(folder)
+        found = folder_card(there)
+        page: Path | None = write_experiment_report(there, found, films=films)
+        pages = write_evaluation_pages(there) if evaluations else []
+    else:
+        assert card is not None
+        found = stored_card(card)
+        page = html
+        if html is not None:
+            write_whole(html, card_page(found))
+    if markdown is not None:
+        from roboxim_eval.report.markdown import experiment_markdown
+
+        write_whole(markdown, experiment_markdown(found, warnings=card_warnings(found)))
+    click.echo(f"{found.experiment.name}, scale {found.experiment.scale}")
+    for sentence in (*found.sentences, *card_warnings(found)):
+        click.echo(f"  {sentence}")
+    scores = dict(found.scores or {})
+    refused = scores.pop("relative_refused", "")
+    for name, value in scores.items():
+        text = f"refused: {refused}" if name == "relative" and refused else _score_text(value)
+        click.echo(f"  {name:<17} {text}")
+    for sentence in found.experiment.deviations:
+        click.echo(f"  deviation         {sentence}")
+    click.echo(f"  sha256            {found.sha256}")
+    for one in (page, *pages, markdown):
+        if one is not None:
+            click.echo(f"report: {one}")
+
+
+def _score_text(value: object) -> str:
+    """Format a score: a value with its interval, or that it was not measured."""
+    if isinstance(value, dict):
+        return f"{_score_text(value['rate'])} of {value['failed']} failures; {value['worst'] or 'none'}"
+    if isinstance(value, list):
+        middle, low, high = ("unbounded" if x is None else f"{x:.2f}" for x in value)
+        return f"{middle} ({low} to {high})"
+    return "not measured"
+
+
+@command.command("compare")
+@click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@click.option("--condition", default="", help="Condition; default: the first one of the primary comparison.")
+@click.option("--where", type=click.Choice(["unseen", "seen", "all"]), default=None, help="Cells; default: as primary.")
+@click.option("--html", type=click.Path(path_type=Path), help="File of the page; default: none.")
+def compare(folders: tuple[Path, ...], condition: str, where: str | None, html: Path | None) -> None:
+    r"""Compare models: the same condition of several runs of an experiment, on the cells that all of them met.
+
+    \b
+    roboxim experiment compare runs/octo runs/bc runs/mine --html models.html
+
+    Cards alone (card.json) can be compared, too. A model is named by its folder. Models without a common letter differ
+    after Holm's adjustment for all pairs.
+    """
+    from roboxim_runs.experiments.models import compared
+
+    models, cards = compared(folders, condition=condition, where=where or "")
+    width = max(map(len, models.models))
+    click.echo(f"condition {models.condition}, {len(models.cells)} {models.where} cells")
+    for name, model in models.models.items():
+        rate = f"{100 * model.rate.value:.0f} % ({100 * model.rate.low:.0f} to {100 * model.rate.high:.0f})"
+        trained = f"{model.trainings} training{'s' * (model.trainings != 1)}"
+        click.echo(f"  {name:<{width}}  {model.letters:<4} {rate}, {model.successes} of {model.episodes}, {trained}")
+    for sentence in models.sentences:
+        click.echo(f"  {sentence}")
+    if html is not None:
+        from roboxim_eval.report.models import models_page
+
+        write_whole(html, models_page(models, cards, _pages_beside(html, folders)))
+        click.echo(f"report: {html}")
+
+
+def _pages_beside(html: Path, folders: Iterable[Path]) -> dict[str, str]:
+    """Return the address of each run's own page, from that of a page beside them, by the folder's name."""
+    import os
+    from urllib.parse import quote
+
+    pages = {folder.resolve().name: folder.resolve() / "report.html" for folder in folders if folder.is_dir()}
+    start = html.resolve().parent
+    return {name: quote(os.path.relpath(page, start)) for name, page in pages.items() if page.exists()}
+
+
+@command.command("pack")
+@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--file", type=click.Path(path_type=Path), help="File to write; default: FOLDER.tar.gz.")
+@click.option("--most", default=200, show_default=True, type=click.IntRange(1), help="Largest size [MB].")
+def pack_run(folder: Path, file: Path | None, most: int) -> None:
+    """Pack results, checkpoints, cards and reports of a run into one file, without bags and datasets."""
+    from roboxim_runs.experiments.pack import pack
+
+    found = pack(folder, file or folder.with_name(f"{folder.resolve().name}.tar.gz"), most_bytes=most * 1_000_000)
+    click.echo(f"{found.files} files, {found.size / 1e6:.1f} MB: {found.path}")
+
+
+@command.command("unpack")
+@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder to create.")
+def unpack_run(file: Path, out: Path) -> None:
+    """Unpack a run's file, and check the hash of every file in it."""
+    from roboxim_runs.experiments.pack import unpack
+
+    found = unpack(file, out)
+    click.echo(f"{found.files} files in {found.path}; see 'roboxim experiment report {found.path}'")
+
+
+command.add_command(_experiment_calibrate.command)
+
+
+def _at_once(name: str, config: ExperimentConfig, trainer: str, trainings: int) -> int:
+    """Return how many trainings of an experiment run at a time if at most a number of them may."""
+    from roboxim_eval.experiments.cost import trainings_at_once
+    from roboxim_runs.experiments.files import checked_design
+
+    return 1 if trainings == 1 else trainings_at_once(checked_design(name, config, trainer), trainings)
+
+
+def duration_s(text: str) -> float:
+    """Return a duration given as e.g. ``8h``, ``90min`` or ``45 min`` [s].
+
+    Raises:
+        ConfigError: When the text is no duration.
+    """
+    import re
+
+    from roboxim_core.errors import ConfigError
+
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(h|min|s|d)\s*", text)
+    if not found or not float(found[1]):
+        raise ConfigError(f"expected a duration such as 8h, 90min or 2d, got '{text}'")
+    return float(found[1]) * {"s": 1, "min": 60, "h": 3600, "d": 86400}[found[2]]

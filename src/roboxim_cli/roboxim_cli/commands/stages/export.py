@@ -1,0 +1,184 @@
+"""Export recorded episodes as a dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+class _Formats(click.Group):
+    """A group with a subcommand for every registered format."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the formats."""
+        from roboxim_recorder.export import EXPORTERS
+
+        return list(EXPORTERS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Build a format's command from its configuration."""
+        from roboxim_cli.field_options import field_options
+        from roboxim_recorder.export import EXPORTERS, Selection
+
+        if cmd_name not in EXPORTERS:
+            return None
+        exporter = EXPORTERS[cmd_name]
+        own = field_options(exporter().config, leave_out=Selection.__dataclass_fields__)
+        doc = (exporter.__doc__ or "").splitlines()[0]
+
+        def export(**options: Any) -> None:
+            _export(cmd_name, {option.name: options.pop(option.name) for option in own if option.name}, **options)
+
+        return click.Command(
+            cmd_name,
+            params=[*_common(), *own],
+            callback=export,
+            short_help=doc,
+            help=f"{doc}\n\n\b\nroboxim export {cmd_name} runs/demos runs/demos-{cmd_name}\n\n"
+            "The same command continues an interrupted export.",
+        )
+
+
+@click.group(cls=_Formats)
+def command() -> None:
+    """Export recorded episodes as a dataset."""
+
+
+def _common() -> list[click.Parameter]:
+    """Return the arguments and options that all formats share."""
+    from roboxim_cli.options import Place
+
+    path = click.Path(path_type=Path)
+    return [
+        click.Argument(["source"], type=Place(), nargs=-1, required=True, metavar="RUN..."),
+        click.Argument(["target"], type=path),
+        click.Option(
+            ["--where"], multiple=True, metavar="CONDITION",
+            help="Export episodes that meet a condition: KEY=VALUE[,VALUE...], KEY!=VALUE, KEY<NUMBER. Keys: skill, "
+            "object, target, target.color, camera, outcome, steps, cell, drawn.NAME, ... May be repeated.",
+        ),
+        click.Option(["--all", "everything"], is_flag=True, help="Include episodes that did not succeed."),
+        click.Option(
+            ["--keep-recovered"], is_flag=True,
+            help="Include episodes that needed a second attempt, e.g. a second grasp."
+        ),
+        click.Option(
+            ["--per-cell"], type=click.IntRange(0), default=0,
+            help="Number of episodes of each cell of the mix (else skill), after all filters; 0: all."
+        ),
+        click.Option(["--uneven"], is_flag=True, help="Allow cells with different numbers of episodes."),
+        click.Option(
+            ["--split"], default="", metavar="train=90,val=10",
+            help="Numbers of episodes of the splits train, val and test; 0: the rest. Default: --val-fraction."
+        ),
+        click.Option(
+            ["--val-fraction"], default=0.05, show_default=True, help="Fraction of the episodes in the split val."
+        ),
+        click.Option(
+            ["--shard"], default="", metavar="I/N",
+            help="Export the I-th of N parts of each split; 'roboxim dataset merge' joins the parts.",
+        ),
+        click.Option(
+            ["--convention"], default="", metavar="NAME",
+            help="Convention (name or YAML file) that says images, state, actions and rate, e.g. libero; see 'roboxim "
+            "policy conventions'.",
+        ),
+        click.Option(
+            ["--cameras", "--camera", "cameras"], multiple=True, metavar="CAMERA[=KEY]",
+            help="Camera and its image key; may be repeated. Default: all, workspace=image and wrist=wrist_image.",
+        ),
+        click.Option(
+            ["--size"], default="as-configured", help="Resize images to SIZE or WIDTHxHEIGHT; default: as recorded."
+        ),
+        click.Option(["--depth"], multiple=True, metavar="CAMERA", help="Camera whose depth images are exported."),
+        click.Option(
+            ["--segmentation"], multiple=True, metavar="CAMERA", help="Camera whose segmentation images are exported."
+        ),
+        click.Option(
+            ["--rate", "rate_hz"], type=click.FloatRange(0), default=0.0,
+            help="Steps per second; must divide the recorded rate. Default: as recorded."
+        ),
+        click.Option(
+            ["--actions"], default="", metavar="WORDS",
+            help="Meaning of the actions, e.g. end_effector_absolute,rotation_6d or joint_position,"
+            "absolute_open_0_closed_1. Default: as recorded.",
+        ),
+        click.Option(
+            ["--state"], default="", metavar="FIELDS",
+            help="Fields of the state, e.g. tcp_position,tcp_quaternion_xyzw,gripper_opening. "
+            "Default: tcp_position,tcp_rotation_6d,gripper_opening.",
+        ),
+        click.Option(
+            ["--skip-missing"], is_flag=True, help="Export the remaining bags when bags of the run are missing."
+        ),
+        click.Option(["--overwrite"], is_flag=True, help="Replace an existing dataset."),
+        click.Option(
+            ["--gate"], type=click.IntRange(0), default=0, show_default=True, metavar="EPISODES",
+            help="Execute the actions of so many episodes again, and refuse the export if too few succeed.",
+        ),
+        click.Option(
+            ["--workers"], type=click.IntRange(0), default=0, show_default="one for each core from 100 episodes on",
+            help="Processes that read and encode episodes, for RLDS, and that execute those of --gate.",
+        ),
+        click.Option(
+            ["--store"], default="", metavar="URL",
+            help="Upload the dataset, e.g. to s3://bucket/demos-rlds. Needs roboxim[store]. RUN may be a URL too.",
+        ),
+    ]  # fmt: skip
+
+
+def _export(
+    name: str, own: dict[str, Any], source: tuple[Path | str, ...], target: Path, cameras: tuple[str, ...], size: str,
+    split: str, everything: bool, keep_recovered: bool, overwrite: bool, gate: int, workers: int, store: str,
+    **common: Any,
+) -> None:  # fmt: skip
+    from roboxim_cli.options import parse_counts, parse_size
+    from roboxim_cli.printer import EventPrinter
+    from roboxim_recorder.export import EXPORTERS
+    from roboxim_runs.datasets.export import export_dataset
+    from roboxim_runs.storage.store import local_sources, upload_dataset
+
+    width, height = parse_size(size)
+    config = EXPORTERS[name]().config(
+        cameras=_camera_keys(cameras), image_width=width, image_height=height, split=parse_counts("--split", split),
+        only_successful=not everything, keep_recovered=keep_recovered or everything, **common, **own,
+    )  # fmt: skip
+    with EventPrinter() as printer, local_sources(source) as runs:
+        report = export_dataset(
+            name, runs, target, config, overwrite=overwrite, gate=gate, workers=workers, on_event=printer
+        )
+    _print_report(report)
+    if store:
+        click.echo(f"{store}: {upload_dataset(target, store)} files uploaded and compared")
+    if name == "rlds":
+        click.echo(f"next: roboxim train bc {target}")
+
+
+def _camera_keys(words: tuple[str, ...]) -> dict[str, str]:
+    """Return camera to image key."""
+    from roboxim_datasets.rlds.episodes import USUAL_KEYS
+
+    found = {}
+    for word in (part for given in words for part in given.split(",")):
+        camera, _, key = word.partition("=")
+        found[camera] = key or USUAL_KEYS.get(camera, camera)
+    return found
+
+
+def _print_report(report: Any) -> None:
+    splits = ", ".join(
+        f"{count} {'episode' if count == 1 else 'episodes'} in {s}" for s, count in report.splits.items()
+    )
+    click.echo(f"{report.path}: {splits}, {report.steps} steps")
+    several = len({cell for cells in report.cells.values() for cell in cells}) > 1
+    for split, cells in report.cells.items():
+        if several:
+            click.echo(f"  {split}: " + ", ".join(f"{count} of {cell}" for cell, count in cells.items()))
+    for reason, count in report.left_out.items():
+        click.echo(f"  left out: {count} ({reason})")
+    for bag in (*report.missing, *report.unexpected):
+        click.echo(f"    {bag} {'is missing' if bag in report.missing else 'has no line in results.jsonl'}")
+    if report.dead_dimensions:
+        click.echo(f"  (nearly) constant components of the action, not learnable: {', '.join(report.dead_dimensions)}")

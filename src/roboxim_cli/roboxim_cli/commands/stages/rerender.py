@@ -1,0 +1,132 @@
+"""Render recorded episodes again: other cameras, lights, textures, resolution, renderer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from roboxim_runs.episodes.rerendering import Lighting
+
+
+@click.command()
+@click.argument("sources", type=click.Path(exists=True, path_type=Path), nargs=-1, required=True)
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the new run.")
+@click.option(
+    "--renderer", default="raster", show_default=True, help="raster, tiny, or photo (Blender; make photo installs it)."
+)
+@click.option(
+    "--camera",
+    "cameras",
+    multiple=True,
+    metavar="NAME[=FILE]",
+    help="Camera to render: a recorded one, a name in config/cameras or a YAML file; may be repeated. "
+    "Default: the recorded ones.",
+)
+@click.option("--resolution", default="as-configured", help="SIZE or WIDTHxHEIGHT of every camera.")
+@click.option("--depth/--no-depth", default=None, help="Also record depth. Default: as each camera is configured.")
+@click.option("--segmentation/--no-segmentation", default=None, help="Also record segmentation.")
+@click.option(
+    "--light",
+    "lights",
+    multiple=True,
+    metavar="NAME|YAML",
+    help="Lighting: a name in config/lights, a YAML file, or one light such as "
+    "'{kind: lamp, position: [0.5, 0.5, 1.2], intensity: 2}'; may be repeated. They replace the recorded lights.",
+)
+@click.option(
+    "--texture",
+    "textures",
+    multiple=True,
+    metavar="SURFACE=NAME",
+    help="Texture of table, floor or wall, e.g. table=marble or table=./oak.jpg; may be repeated; an empty NAME "
+    "removes the texture.",
+)
+@click.option(
+    "--background", type=click.Choice(["room", "plain"]), help="Surroundings: a room with walls, or a plain colour."
+)
+@click.option("--look", default="", metavar="SCENE", help="Use the lights and materials of a scene in config/scenes.")
+@click.option(
+    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Number of processes, each with a renderer."
+)
+def command(
+    sources: tuple[Path, ...], out: Path, renderer: str, cameras: tuple[str, ...], resolution: str,
+    depth: bool | None, segmentation: bool | None, lights: tuple[str, ...], textures: tuple[str, ...],
+    background: str | None, look: str, workers: int,
+) -> None:  # fmt: skip
+    r"""Render bags again into OUT/episodes: the same episodes, states and actions, with other images.
+
+    \b
+    roboxim rerender runs/demos --out runs/demos-evening --light evening --texture table=marble
+    roboxim rerender runs/demos --out runs/demos-left --camera workspace=workspace_left --camera wrist
+    roboxim rerender runs/demos/episodes/demo-0-00000-0 --out runs/photo --renderer photo --resolution 512
+
+    SOURCES are bags, folders of bags or runs. No running graph is needed. Unchanged settings give the recorded images,
+    bit for bit on one type of machine. Ctrl-C stops; the same command continues with the missing bags.
+    """
+    from roboxim_cli.options import parse_size
+    from roboxim_cli.printer import EventPrinter
+    from roboxim_core.config import load_config, named_config
+    from roboxim_core.errors import ConfigError
+    from roboxim_core.specs import SceneSpec
+    from roboxim_runs.episodes.pictures import write_contact_sheet
+    from roboxim_runs.episodes.rerendering import RerenderConfig, find_bags, rerender
+
+    bags = find_bags(sources)
+    for word in textures:
+        if "=" not in word:
+            raise ConfigError(f"--texture is SURFACE=NAME, e.g. table=marble, got '{word}'")
+    width, height = parse_size(resolution)
+    lighting = _lighting(lights)
+    config = RerenderConfig(
+        renderer=renderer, cameras={name: file for name, _, file in (word.partition("=") for word in cameras)},
+        width=width, height=height, depth=depth, segmentation=segmentation,
+        look=load_config(named_config("scenes", look), SceneSpec).look if look else None,
+        lights=lighting.lights if lighting else None, ambient=lighting.ambient if lighting else None,
+        textures={
+            surface: str(Path(name).resolve()) if "/" in name else name
+            for surface, _, name in (word.partition("=") for word in textures)
+        },
+        background=background or "",
+    )  # fmt: skip
+    with EventPrinter() as printer:
+        report = rerender(bags, out, config, workers=workers, on_event=printer)
+    there = f" ({report.there} were there)" if report.there else ""
+    made = f"{report.made} episode{'s' if report.made != 1 else ''}"
+    click.echo(
+        f"{made} rendered with '{renderer}' into {out / 'episodes'}{there}"
+        if report.made
+        else f"all {report.there} episodes are in {out / 'episodes'} already; nothing to do"
+    )
+    if report.changed:
+        click.echo(
+            "note: these models have changed since the recording and are drawn as they are now: "
+            + ", ".join(report.changed)
+        )
+    first = next(iter(sorted((out / "episodes").iterdir())), None)
+    if first is not None:
+        picture = out / "first_episode.png"
+        if write_contact_sheet([first], picture):
+            click.echo(f"a picture: {picture}")
+
+
+def _lighting(words: tuple[str, ...]) -> Lighting | None:
+    """Return the lights that the options name; none: the recorded ones."""
+    from roboxim_core.config import from_plain, load_config, named_config, parse_yaml
+    from roboxim_core.specs import LightSpec
+    from roboxim_runs.episodes.rerendering import Lighting
+
+    if not words:
+        return None
+    lights: list[LightSpec] = []
+    ambient = None
+    for word in words:
+        if word.lstrip().startswith("{"):
+            lights.append(from_plain(parse_yaml(word, source="--light"), LightSpec, source="--light"))
+        else:
+            preset = load_config(named_config("lights", word), Lighting)
+            lights += preset.lights
+            ambient = preset.ambient or ambient
+    return Lighting(lights=tuple(lights), ambient=ambient)

@@ -1,0 +1,102 @@
+"""List the skills and tasks, and print the tasks of a seed."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from roboxim_cli.named import Models, Named
+
+
+@click.group()
+def command() -> None:
+    """List the skills and tasks, and print the tasks of a seed."""
+
+
+@command.command("list")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def list_tasks(as_json: bool) -> None:
+    """List the skills with the objects that suit them, and the tasks of config/tasks and of your own folders.
+
+    A task with an invalid file is reported as an error at the end, after the others.
+    """
+    from roboxim_cli.catalog import catalog
+    from roboxim_core.errors import ConfigError
+
+    known = catalog("tasks")
+    skills, tasks, broken = known["skills"], known["tasks"], known["broken"]
+    if as_json:
+        click.echo(json.dumps({"skills": skills, "tasks": tasks, "broken": broken}, indent=2))
+    else:
+        _show(skills, tasks)
+    if broken:
+        raise ConfigError("\n".join(broken.values()))
+
+
+def _show(skills: dict[str, Any], tasks: dict[str, Any]) -> None:
+    click.secho("skills (roboxim generate --skill NAME --object MODEL)", bold=True)
+    for name, entry in skills.items():
+        click.echo(f"  {name:<20} {entry['instruction']}")
+        for role, suited in entry["roles"].items():
+            click.echo(f"  {'':<20}   {role}: {', '.join(suited)}")
+    click.secho("tasks (roboxim generate --task NAME)", bold=True)
+    for name, task in tasks.items():
+        count = f", {task['episodes']} episodes" if task["episodes"] else ""
+        click.echo(f"  {name:<28} {', '.join(task['skills'])}{count}")
+        click.echo(f"  {'':<28}   {task['about']}")
+
+
+@command.command("sample")
+@click.option(
+    "--task", type=Named("task"), default="", show_default="pick_cube", help="Task of config/tasks, or a YAML file."
+)
+@click.option("--skill", type=Named("skill"), default="", help="A skill instead of a task.")
+@click.option(
+    "--object", "objects", type=Models("object"), multiple=True, metavar="[ROLE=]MODEL[,MODEL]",
+    help="Object models of a role.",
+)  # fmt: skip
+@click.option("--distractors", default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3.")
+@click.option("--colors", default="", metavar="A,B", help="Colours of the target, e.g. red,blue.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the run.")
+@click.option("--count", type=click.IntRange(1), default=10, show_default=True, help="Number of tasks.")
+@click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="Index of the first task.")
+@click.option(
+    "--purpose", type=click.Choice(["demo", "eval", "train", "test"]), default="demo", show_default=True,
+    help="Purpose of the episodes; each purpose has its own tasks.",
+)  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, one task per line.")
+def sample(
+    task: str, skill: str, objects: tuple[str, ...], distractors: str, colors: str, seed: int, count: int, first: int,
+    purpose: str, as_json: bool,
+) -> None:  # fmt: skip
+    r"""Print the tasks of a seed, exactly as generate and evaluate run them.
+
+    \b
+    roboxim tasks sample --seed 7
+    roboxim tasks sample --skill place_on --object apple,knife --count 5
+    """
+    from roboxim_core.config import digest, to_json
+    from roboxim_core.models.library import ModelLibrary
+    from roboxim_core.seeds import SeedPath
+    from roboxim_runs.episodes.task_choice import task_text
+    from roboxim_tasks.config import parse_task_config
+    from roboxim_tasks.roles import description, task_distractors
+    from roboxim_tasks.sampling.episodes import EpisodeGenerator
+
+    generator = EpisodeGenerator(ModelLibrary())
+    text = task_text(task, skill=skill, objects=objects, distractors=distractors, colors=colors)
+    config = parse_task_config(text)
+    for index in range(first, first + count):
+        drawn = generator.sample(SeedPath(run_seed=seed, purpose=purpose, index=index), config)
+        if as_json:
+            click.echo(to_json(drawn))
+            continue
+        others = ", ".join(description(thing) for thing in task_distractors(drawn))
+        click.echo(
+            f"{index:>4}  {digest(drawn)}  {drawn.instruction}" + (f"   (also there: {others})" if others else "")
+        )
+        chosen = "  ".join(f"{name}: {value}" for name, value in drawn.drawn.items())
+        if chosen:
+            click.echo(f"{'':>24}{chosen}")

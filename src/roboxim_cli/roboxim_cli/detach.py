@@ -1,0 +1,56 @@
+"""``roboxim up --detach``: start the same command in a new session."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import subprocess
+import sys
+import time
+
+import click
+
+from roboxim_bringup.process import describe_exit
+from roboxim_core.errors import RoboximError, UnavailableError
+
+READY_S = 300.0
+
+
+def start_detached(run_id: str | None) -> None:
+    """Start this process's command without ``--detach`` and return when its graph is up.
+
+    Args:
+        run_id: Name of the run; none: a new one.
+
+    Raises:
+        RoboximError: When the graph could not start, with the end of its log.
+    """
+    from roboxim_core.user_folders import runtime_dir
+
+    name = run_id or f"up-{secrets.token_hex(2)}"
+    arguments = [word for word in sys.argv[1:] if word != "--detach"]
+    if run_id is None:
+        arguments += ["--id", name]
+    log = runtime_dir() / f"{name}.log"
+    with open(log, "wb") as output:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "roboxim_cli", *arguments],
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            start_new_session=True,
+        )
+    deadline = time.monotonic() + READY_S
+    try:
+        while f"run {name} is up" not in log.read_text():
+            if process.poll() is not None:
+                tail = "\n".join(log.read_text().splitlines()[-20:])
+                raise RoboximError(f"the graph could not start ({describe_exit(process.returncode)}):\n{tail}")
+            if time.monotonic() > deadline:
+                raise UnavailableError(f"the graph is not up after {READY_S:g} s; see {log}")
+            time.sleep(0.05)
+    except BaseException:
+        process.terminate()
+        raise
+    click.echo(f"run {name} is up; its log: {log}\nend it with: roboxim down --run {name}")

@@ -1,0 +1,149 @@
+"""The ``roboxim`` command: finds its subcommands by file name and imports only the one that runs."""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import os
+import re
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+
+import click
+from click.shell_completion import CompletionItem
+
+from roboxim_cli.options import keep_lines
+
+DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR}
+COMMANDS = Path(__file__).parent / "commands"
+SECTIONS = {
+    "The main job": ("demo", "tasks", "generate", "merge", "export", "dataset", "train", "evaluate"),
+    "Experiments": ("experiment", "benchmark"),
+    "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor"),
+    "Planning": ("planner",),
+    "Recordings": ("bag", "replay", "rerender"),
+    "Datasets": ("dataset",),
+    "Objects": ("assets",),
+    "Inspecting a running graph (spelled as in ros2)": (
+        "node", "service", "topic", "action", "param", "interface",
+    ),
+}  # fmt: skip
+
+
+class LazyGroup(click.Group):
+    """The group of the subcommands in ``commands/``."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the files."""
+        return sorted(path.stem for path in COMMANDS.glob("[a-z]*.py"))
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a subcommand."""
+        if cmd_name not in self.list_commands(ctx):
+            return None
+        module = importlib.import_module(f"roboxim_cli.commands.{cmd_name}")
+        command: click.Command = module.command
+        keep_lines(command)
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Answer an unknown name with a suggestion."""
+        name = args[0]
+        if not name.startswith("-") and name not in self.list_commands(ctx):
+            from roboxim_core.errors import one_of
+
+            ctx.fail(f"no command '{name}'; {one_of(self.list_commands(ctx), name)}")
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> object:
+        """Run a subcommand. Its exit code ends the process; without standalone mode click would return the code."""
+        try:
+            return super().invoke(ctx)
+        except click.exceptions.Exit as end:
+            sys.exit(end.exit_code)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Complete a subcommand's name without importing any."""
+        names = [name for name in self.list_commands(ctx) if name.startswith(incomplete)]
+        options = click.Command.shell_complete(self, ctx, incomplete)
+        return [*(CompletionItem(name, help=short_help(name)) for name in names), *options]
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the subcommands by section, without importing them."""
+        names = self.list_commands(ctx)
+        listed = {name for section in SECTIONS.values() for name in section}
+        sections = {**SECTIONS, "Other": tuple(name for name in names if name not in listed)}
+        for title, members in sections.items():
+            rows = [(name, short_help(name)) for name in members if name in names]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+
+def short_help(name: str) -> str:
+    """Return the first line of a subcommand's docstring, read from its file."""
+    with open(COMMANDS / f"{name}.py") as file:
+        found = re.match(r'"""(.*?)\.?(""")?$', file.readline().rstrip())
+    return found.group(1) if found else ""
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="roboxim", message="%(prog)s %(version)s")
+@click.option(
+    "--events", type=click.Path(path_type=Path, dir_okay=False, writable=True), metavar="FILE",
+    help="Append the command's progress to FILE, one JSON object a line, for programs.",
+)  # fmt: skip
+def group(events: Path | None) -> None:
+    """Generate, record and evaluate robot manipulation on a ROS 2 node graph."""
+    if events is not None:
+        os.environ["ROBOXIM_EVENTS"] = str(events.absolute())  # EventPrinter writes into it
+
+
+def _terminate(number: int, _: FrameType | None) -> None:
+    """End as on Ctrl-C: cancel goals, end workers, close files."""
+    sys.exit(128 + number)
+
+
+def main() -> None:
+    """Run the command line. Exit codes: 0, 1 for an error, 2 for wrong usage or configuration, 130 for Ctrl-C."""
+    from roboxim_ros.environment import start_clean
+
+    start_clean()
+    parent = os.environ.pop("ROBOXIM_PARENT", None)
+    if parent is not None:
+        from roboxim_bringup.process import die_with_parent
+
+        die_with_parent(int(parent))
+    from roboxim_core.errors import ConfigError, RoboximError
+
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        group.main(prog_name="roboxim", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("interrupted", err=True)
+        sys.exit(130)
+    except RoboximError as error:
+        wrong_usage = isinstance(error, ConfigError)
+        click.echo(f"error: {error}" if wrong_usage else f"error: {error} [{error.code.name}]", err=True)
+        sys.exit(2 if wrong_usage else 1)
+    except BrokenPipeError:  # e.g. piped into head
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            click.echo(f"error: '{str(error.filename)[:40]}...' is too long for a file's name or path", err=True)
+            sys.exit(2)
+        if error.errno not in DISK_ERRORS:
+            raise
+        path = f"{error.filename}: " if error.filename else ""
+        click.echo(
+            f"error: {path}{error.strerror}; free some space or check the folder, and run again [DISK]", err=True
+        )
+        sys.exit(1)

@@ -1,0 +1,244 @@
+"""Command-line options that several commands share."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from roboxim_cli.named import Models, Named
+
+RENDERERS = ("photo", "raster", "tiny")
+"""The built-in renderers; `doctor` reports which of them work on this machine."""
+Decorator = Callable[[Any], Any]
+Number = TypeVar("Number", int, float)
+
+
+class Place(click.ParamType[Path | str]):
+    """A path, or the URL of a store."""
+
+    name = "path or URL"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path | str:
+        """Return a URL as a text, and anything else as a path."""
+        return str(value) if "://" in str(value) else Path(value)
+
+
+def executor_options() -> list[Decorator]:
+    """Return the options that choose what runs the episodes."""
+    return [
+        click.option(
+            "--executor", type=click.Choice(["local", "ray"]), default="local", show_default=True,
+            help="Run the workers on this machine, or on a Ray cluster; needs roboxim[ray].",
+        ),
+        click.option(
+            "--address", default="", metavar="ADDRESS",
+            help="Ray cluster, e.g. auto or ray://host:10001; default: one on this machine, for this run.",
+        ),
+        click.option(
+            "--resources", default="", metavar="NAME=N,...",
+            help="What a worker takes of a Ray node, e.g. CPU=2,GPU=0.25; default: CPU=1.",
+        ),
+    ]  # fmt: skip
+
+
+def with_executor(command: Any) -> Any:
+    """Add the options that choose what runs the episodes; a decorator."""
+    for option in reversed(executor_options()):
+        command = option(command)
+    return command
+
+
+def with_training_resources(command: Any) -> Any:
+    """Add the option that says what a training takes of a Ray node; a decorator, above `with_executor`."""
+    return click.option(
+        "--training-resources", default="", metavar="NAME=N,...",
+        help="What a training takes of a Ray node, e.g. CPU=8,GPU=1; default: CPU=1.",
+    )(command)  # fmt: skip
+
+
+def parse_resources(option: str, text: str) -> dict[str, float]:
+    """Parse ``CPU=2,GPU=0.25``; ``cpu`` and ``gpu`` may be written in small letters.
+
+    Raises:
+        ConfigError: When the text is something else.
+    """
+    taken = _numbers(option, text, float, "N", "CPU=2,GPU=0.25")
+    return {name.upper() if name.lower() in ("cpu", "gpu") else name: amount for name, amount in taken.items()}
+
+
+def parse_counts(option: str, text: str) -> dict[str, int]:
+    """Parse ``train=90,val=10``.
+
+    Raises:
+        ConfigError: When the text is something else.
+    """
+    return _numbers(option, text, int, "COUNT", "train=90,val=10")
+
+
+def _numbers(option: str, text: str, kind: Callable[[str], Number], word: str, example: str) -> dict[str, Number]:
+    """Parse ``NAME=NUMBER,...`` with finite numbers from 0.
+
+    Raises:
+        ConfigError: When the text is something else, or has a name twice.
+    """
+    from roboxim_core.errors import ConfigError
+
+    found: dict[str, Number] = {}
+    for part in filter(None, text.split(",")):
+        name, _, number = (piece.strip() for piece in part.partition("="))
+        try:
+            value: Number | None = kind(number)
+        except ValueError:
+            value = None
+        if not name or name in found or value is None or not 0 <= value < float("inf"):
+            raise ConfigError(f"{option} is NAME={word},... with {word} from 0, e.g. {example}; got '{text}'")
+        found[name] = value
+    return found
+
+
+def make_executor(executor: str, address: str, resources: str, workers: int, *, option: str = "--resources") -> Any:
+    """Return what runs the episodes, or the trainings; none: the run's own choice, processes of this machine.
+
+    Args:
+        executor: ``local`` or ``ray``.
+        address: Address of the Ray cluster; empty: one on this machine.
+        resources: ``NAME=N,...``; empty: one CPU.
+        workers: Number of workers.
+        option: Name of the option with the resources, for errors.
+
+    Raises:
+        ConfigError: When Ray is not installed, or an option does not fit.
+    """
+    from roboxim_core.errors import ConfigError
+
+    if executor == "local":
+        if address or resources:
+            raise ConfigError(f"--address and {option} are for --executor ray")
+        return None
+    from roboxim_runs.executors.ray_cluster import RayExecutor
+
+    return RayExecutor(workers, address=address, resources=parse_resources(option, resources) or None, option=option)
+
+
+def make_policy_servers(executor: str, address: str, resources: str, servers: int, out: Path) -> list[Any]:
+    """Return what runs the policy servers of an evaluation; none: each worker has the policies itself.
+
+    Args:
+        executor: ``local`` or ``ray``.
+        address: Address of the Ray cluster; empty: one on this machine.
+        resources: What a server takes of a Ray node, ``NAME=N,...``; empty: nothing.
+        servers: Number of servers of each policy; 0: one if ``resources`` are given.
+        out: Folder of the evaluation.
+
+    Raises:
+        ConfigError: When Ray is not installed, or an option does not fit.
+    """
+    from roboxim_core.errors import ConfigError
+
+    taken = parse_resources("--policy-resources", resources)
+    if executor == "local":
+        if taken:
+            raise ConfigError("--policy-resources is for --executor ray; --policy-servers works without")
+        from roboxim_runs.executors import LocalExecutor
+
+        return [LocalExecutor(1, log_dir=out / ".policy-servers" / str(number)) for number in range(servers)]
+    from roboxim_runs.executors.ray_cluster import RayExecutor
+
+    wanted = {"CPU": 0.0, **taken}
+    return [RayExecutor(1, address=address, resources=wanted) for _ in range(servers or bool(taken))]
+
+
+def episode_options(*, episodes: int, out: str) -> Decorator:
+    """Return a decorator that adds the options of every run of episodes.
+
+    Args:
+        episodes: Default number.
+        out: Default folder.
+    """
+    options = [
+        click.option(
+            "--task", type=Named("task"), default="", show_default="pick_cube",
+            help="Task of config/tasks, or a YAML file.",
+        ),
+        click.option(
+            "--skill", type=Named("skill"), default="", help="A skill instead of a task; roboxim tasks list shows them."
+        ),
+        click.option(
+            "--object", "objects", type=Models("object"), multiple=True, metavar="[ROLE=]MODEL[,MODEL]",
+            help="Object models of the target, or of another role; may be repeated.",
+        ),
+        click.option("--distractors", default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3."),
+        click.option("--colors", default="", metavar="A,B", help="Colours of the target, e.g. red,blue."),
+        click.option("--out", type=click.Path(path_type=Path), default=out, show_default=True, help="Run's folder."),
+        click.option(
+            "--episodes", type=click.IntRange(1), default=episodes, show_default=True, help="Number of episodes."
+        ),
+        click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the run."),
+        click.option(
+            "--workers", type=click.IntRange(1), default=min(2, os.cpu_count() or 1), show_default="cores, at most 2",
+            help="Processes, each with a whole graph.",
+        ),
+        click.option(
+            "--size", default="as-configured", show_default=True,
+            help="Image size, SIZE or WIDTHxHEIGHT, of cameras for which the policy states none.",
+        ),
+        click.option(
+            "--rate", type=click.FloatRange(0), default=0.0, metavar="HZ",
+            help="Control rate; 0: the policy's, or the task's if the policy acts at any rate.",
+        ),
+        click.option(
+            "--renderer", type=Named("renderer", *RENDERERS), default="raster", show_default=True,
+            help="raster (needs EGL), tiny (PyBullet's own), or photo (Blender; slow).",
+        ),
+        click.option("--depth", is_flag=True, help="Also record depth."),
+        click.option("--segmentation", is_flag=True, help="Also record segmentation."),
+        click.option(
+            "--repair", is_flag=True,
+            help="Repeat episodes whose bag or result is lost or damaged, instead of refusing to continue.",
+        ),
+        click.option(
+            "--shard", default="", metavar="I/N",
+            help="Run only the I-th of N parts of the episodes, in a folder of its own; roboxim merge joins them.",
+        ),
+        click.option(
+            "--store", default="", metavar="URL",
+            help="Upload bags and results, e.g. to s3://bucket/demos; OUT keeps the results. Needs roboxim[store].",
+        ),
+        *executor_options(),
+    ]  # fmt: skip
+
+    def decorate(command: Any) -> Any:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Parse an image size: ``128`` or ``128x96`` (width x height), or ``as-configured`` (0, 0).
+
+    Raises:
+        ConfigError: When the text is neither.
+    """
+    from roboxim_core.errors import ConfigError
+
+    if text == "as-configured":
+        return 0, 0
+    found = re.fullmatch(r"(\d+)(?:x(\d+))?", text)
+    if not found or not 16 <= int(found[1]) <= 4096 or not 16 <= int(found[2] or found[1]) <= 4096:
+        raise ConfigError(f"an image size is SIZE or WIDTHxHEIGHT with 16 to 4096 px, got '{text}'")
+    return int(found[1]), int(found[2] or found[1])
+
+
+def keep_lines(command: click.Command) -> None:
+    r"""Turn a line ``\b`` of a raw docstring into click's mark for a paragraph that is not rewrapped."""
+    if command.help:
+        command.help = command.help.replace("\\b\n", "\b\n")
+    for sub in getattr(command, "commands", {}).values():
+        keep_lines(sub)

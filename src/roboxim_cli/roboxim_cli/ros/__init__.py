@@ -1,0 +1,1 @@
+"""The commands for a running graph, spelled as in ``ros2``."""

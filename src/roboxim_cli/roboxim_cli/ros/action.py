@@ -1,0 +1,111 @@
+"""List actions and send goals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from roboxim_bringup.attach import absolute, attach_options, attached
+from roboxim_cli.graph_names import complete
+
+
+@click.group()
+def command() -> None:
+    """List the actions of a running graph and send goals."""
+
+
+@command.command("list")
+@click.option("-t", "--show-types", is_flag=True, help="Also print the types.")
+@attach_options
+def list_actions(show_types: bool, run_id: str | None, domain: int | None) -> None:
+    """List the actions."""
+    with attached(run_id, domain) as peer:
+        peer.settle()
+        actions = peer.actions()
+    for name, types in actions.items():
+        click.echo(f"{name} [{', '.join(types)}]" if show_types else name)
+
+
+@command.command("type")
+@click.argument("name", shell_complete=complete("actions"))
+@attach_options
+def print_type(name: str, run_id: str | None, domain: int | None) -> None:
+    """Print the type of an action."""
+    with attached(run_id, domain) as peer:
+        click.echo(peer.type_of("action", name, peer.actions))
+
+
+@command.command("info")
+@click.argument("name", shell_complete=complete("actions"))
+@attach_options
+def info(name: str, run_id: str | None, domain: int | None) -> None:
+    """Print the type, servers and clients of an action."""
+    from rclpy.action import get_action_client_names_and_types_by_node, get_action_server_names_and_types_by_node
+
+    with attached(run_id, domain) as peer:
+        type_name = peer.type_of("action", name, peer.actions)
+        peer.settle()
+        nodes = peer.node.get_node_names_and_namespaces()
+        sides = {
+            "servers": get_action_server_names_and_types_by_node,
+            "clients": get_action_client_names_and_types_by_node,
+        }
+        found = {
+            side: [
+                f"{namespace.rstrip('/')}/{base}"
+                for base, namespace in nodes
+                if any(action == absolute(name) for action, _ in ask(peer.node, base, namespace))
+            ]
+            for side, ask in sides.items()
+        }
+    click.echo(f"Action: {absolute(name)} [{type_name}]")
+    for side, names in found.items():
+        click.echo(f"Action {side}: {len(names)}")
+        for node in names:
+            click.echo(f"    {node}")
+
+
+@command.command("send_goal")
+@click.argument("name", shell_complete=complete("actions"))
+@click.argument("words", nargs=-1, metavar="[TYPE] [YAML]")
+@click.option("-f", "--feedback", is_flag=True, help="Print the feedback.")
+@click.option("--timeout", default=600.0, show_default=True, help="Longest wait for the result [s].")
+@click.option("--full", is_flag=True, help="Do not shorten long arrays.")
+@attach_options
+def send_goal(
+    name: str,
+    words: tuple[str, ...],
+    feedback: bool,
+    timeout: float,
+    full: bool,
+    run_id: str | None,
+    domain: int | None,
+) -> None:
+    """Send a goal and print its result as YAML; Ctrl-C cancels the goal."""
+    from roboxim_bringup.yaml_text import dump, parse
+    from roboxim_cli.messages import look_up, message_from_plain, message_to_plain
+    from roboxim_cli.ros.service import split_type
+    from roboxim_core.errors import ErrorCode, RoboximError
+
+    type_name, text = split_type(words)
+    data = parse(text, source="goal") if text else None
+
+    def show(message: Any) -> None:
+        click.echo("feedback:\n" + dump(message_to_plain(message.feedback, full=full)), nl=False)
+
+    with attached(run_id, domain) as peer:
+        cls = look_up(type_name or peer.type_of("action", name, peer.actions), "action")
+        goal = message_from_plain(cls.Goal, data)
+        from roboxim_ros.actions import ActionCall
+
+        with ActionCall(peer.clients, cls, absolute(name)) as action:
+            click.echo(f"sending a goal to {absolute(name)}", err=True)
+            result = action.run(goal, feedback=show if feedback else None, timeout_s=timeout)
+    click.echo(dump(message_to_plain(result.result, full=full)), nl=False)
+    click.echo(f"goal ended: {result.status}", err=True)
+    if result.status != "succeeded":
+        code = getattr(result.result, "error_code", 0) or ErrorCode.INTERNAL
+        known = code if code in list(ErrorCode) else ErrorCode.INTERNAL
+        message = getattr(result.result, "error_msg", "") or getattr(result.result, "error_string", "")
+        raise RoboximError(f"{absolute(name)}: {result.status}: {message}", known)

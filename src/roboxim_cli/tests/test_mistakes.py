@@ -1,0 +1,136 @@
+"""A user's mistake on the command line gets one short message that says what to do."""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+import pytest
+from click.testing import CliRunner
+
+from roboxim_cli.main import group, main
+from roboxim_cli.options import parse_counts, parse_resources
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_runs.datasets.export import unfinished
+from roboxim_runs.storage.folder import RunFolder
+
+
+def mistake(*words) -> str:
+    """Return a command's error message for a mistake."""
+    with pytest.raises(RoboximError) as error:
+        CliRunner().invoke(group, [str(word) for word in words], standalone_mode=False, catch_exceptions=False)
+    said = str(error.value)
+    assert len(said) < 500
+    assert "\n" not in said
+    return said
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Return a folder that looks like a run of two bags."""
+    for number in range(2):
+        bag = tmp_path / "run" / "episodes" / f"demo-0-0000{number}-0"
+        bag.mkdir(parents=True)
+        (bag / "metadata.yaml").touch()
+        (bag / f"{bag.name}_0.mcap").write_bytes(b"\x89MCAP0\r\n")
+    return tmp_path / "run"
+
+
+def test_training_needs_a_dataset_not_a_run(run, tmp_path):
+    assert f"roboxim export rlds {run} {run}-rlds" in mistake("train", "bc", run, "--out", tmp_path / "bc")
+    assert "no such folder" in mistake("train", "bc", tmp_path / "nothere", "--out", tmp_path / "bc")
+    assert not (tmp_path / "bc").exists()
+
+
+def test_resources_of_trainings_need_a_cluster(tmp_path):
+    given = ("--scale", "smoke", "--out", tmp_path / "out", "--training-resources", "GPU=1")
+    for words in (("experiment", "run", "skill_object"), ("benchmark", "transfer")):
+        assert "--training-resources are for --executor ray" in mistake(*words, *given)
+
+
+def test_training_refuses_a_file_as_its_folder_and_an_empty_configuration(run, tmp_path):
+    (tmp_path / "file").touch()
+    assert "it is a file; choose another output folder" in mistake("train", "bc", run, "--out", tmp_path / "file")
+    assert "is empty" in mistake("train", "bc", run, "--config", tmp_path / "file")
+
+
+def test_a_path_of_the_wrong_kind_is_not_called_a_damaged_bag(run, tmp_path):
+    file = tmp_path / "my_policy.py"
+    file.touch()
+    for words in (("info", file), ("check", file), ("play", file), ("repair", file)):
+        assert "my_policy.py is not a bag" in mistake("bag", *words)
+    assert f"is a run, not one bag; name one, e.g. {run}/episodes/demo-0-00000-0" in mistake("bag", "play", run)
+    assert "no such folder" in mistake("export", "rlds", tmp_path / "nothere", tmp_path / "rlds")
+
+
+def test_an_export_says_that_its_run_is_not_finished(tmp_path):
+    run = tmp_path / "run"
+    assert unfinished(run) == ""
+    with RunFolder(run).opened({"purpose": "demo", "episodes": 2}) as folder:
+        folder.append(EpisodeResult(episode_id="e0", index=0, outcome="success"))
+        assert unfinished(run) == "1 of 2 episodes are done; 'roboxim generate' is still running there"
+    assert unfinished(run / "episodes") == "1 of 2 episodes are done; 'roboxim generate' was stopped there"
+    with RunFolder(run).opened({"purpose": "demo", "episodes": 1}):
+        pass
+    assert unfinished(run) == ""
+
+
+def test_a_broken_task_is_named_and_hides_no_other(tmp_path, monkeypatch):
+    (tmp_path / "tasks").mkdir()
+    broken = tmp_path / "tasks" / "broken.yaml"
+    broken.write_text("# Mine.\nskill: pick_upp\n")
+    (tmp_path / "tasks" / "whole.yaml").write_text("# Pick up, e.g. a\n# cube. Nothing else.\nskill: pick_up\n")
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path))
+    result = CliRunner().invoke(group, ["tasks", "list"])
+    assert f"{broken} is not valid: skill (line 2)" in str(result.exception)
+    assert "  Pick up, e.g. a cube.\n" in result.stdout
+    assert f"{broken} is not valid: skill (line 2)" in mistake("tasks", "sample", "--task", broken)
+    assert "pick_cube.yaml with the command line's options is not valid" in mistake(
+        "tasks", "sample", "--colors", "puce"
+    )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("generate", "--task", "x" * 300 + ".yaml"),
+        ("generate", "--out", "x" * 300),
+        ("train", "bc", "x" * 300),
+        ("train", "bc", "somewhere", "--out", "x" * 300),
+        ("export", "rlds", "somewhere", "x" * 300),
+        ("up", "--id", "x" * 300),
+    ],
+    ids=lambda words: " ".join(words).replace("x" * 300, "LONG"),
+)
+def test_a_name_of_300_characters_is_an_error_by_name(words, monkeypatch, capsys, tmp_path, runtime):
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    monkeypatch.setattr(sys, "argv", ["roboxim", *words])
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert "xxxx" in said
+    assert len(said) < 300
+    assert list(here.iterdir()) == []
+
+
+def test_a_value_of_the_wrong_kind_names_the_policy():
+    assert "argument 'scale' of policy 'random'" in mistake("evaluate", "--policy", "random", "--option", "scale=much")
+
+
+@pytest.mark.parametrize("text", ["train=1.5", "train", "=3", "train=-1", "train=1,train=2"])
+def test_counts_that_are_none_are_refused_with_an_example(text):
+    assert parse_counts("--split", "train=90, val=10") == {"train": 90, "val": 10}
+    with pytest.raises(ConfigError, match=r"--split is NAME=COUNT,\.\.\. with COUNT from 0, e\.g\. train=90,val=10"):
+        parse_counts("--split", text)
+
+
+@pytest.mark.parametrize("text", ["cpu=-1", "gpu=nan", "gpu=inf", "cpu"])
+def test_resources_that_are_none_are_refused_with_an_example(text):
+    assert parse_resources("--resources", "cpu=2,Gpu=0.25,mine=1") == {"CPU": 2.0, "GPU": 0.25, "mine": 1.0}
+    with pytest.raises(ConfigError, match=r"--resources is NAME=N,\.\.\. with N from 0"):
+        parse_resources("--resources", text)

@@ -1,0 +1,50 @@
+"""What the printer shows of stages that go on side by side."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from roboxim_cli import progress
+from roboxim_cli.printer import EventPrinter
+from roboxim_cli.progress import Bars
+from roboxim_runs.events import Notice, StageFinished, StageProgress, StageStarted
+
+
+def test_each_line_of_a_log_names_its_stage(capsys, monkeypatch):
+    monkeypatch.delenv("ROBOXIM_EVENTS", raising=False)
+    monkeypatch.setattr(progress, "LINE_PERIOD_S", -1.0)
+    with EventPrinter() as printer:
+        for name in "ab":
+            printer(StageStarted(title=f"training {name}", total=50, unit="steps", name=name))
+        printer(StageProgress(done=20, total=50, note="loss 0.2", name="b"))
+        printer(StageProgress(done=10, total=50, note="loss 0.1", name="a"))
+        printer(StageFinished(name="b"))
+        printer(Notice(text="b has ended"))
+        printer(StageProgress(done=50, total=50, name="a"))
+        printer(StageFinished(name="a"))
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(" after")[0] for line in lines] == [
+        "training b: 20 of 50 steps", "training a: 10 of 50 steps", "b has ended", "training a: 50 of 50 steps",
+    ]  # fmt: skip
+    assert lines[0].endswith("loss 0.2")
+
+
+@pytest.mark.parametrize("text", ["[red] is no style here", "loss [/0.1]"])
+def test_bars_of_a_terminal_stand_below_each_other(text):
+    screen = io.StringIO()
+    bars = Bars(Console(file=screen, force_terminal=True, width=150, legacy_windows=False))
+    first, second = (bars.add(f"training {name}", 50, 0, "steps") for name in "ab")
+    bars.update(first, 10, 50, text, "2/s")
+    bars.say("above them")
+    bars.end(first)
+    start = screen.tell()
+    bars.update(second, 50, 50, "", "")
+    bars.end(second)
+    shown, rest = screen.getvalue()[:start], screen.getvalue()[start:]
+    assert text in shown
+    assert "above them" in shown
+    assert "training b" in rest
+    assert "training a" not in rest, "its last state stays above, and is not drawn again"
+    bars.end(bars.add("training c", 50, 0, "steps"))
+    assert "training c" in screen.getvalue()

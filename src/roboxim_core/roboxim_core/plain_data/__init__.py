@@ -1,0 +1,1 @@
+"""Plain configuration data: reading within bounds, changing, comparing."""

@@ -1,0 +1,1 @@
+"""Rotations: single ones as quaternions, and the representations of actions and states."""

@@ -1,0 +1,1 @@
+"""Collision checks of states, edges and sweeps."""

@@ -1,0 +1,267 @@
+"""Contacts and their penetration by coal, for error messages and as a check independent of the native kernel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import coal
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from roboxim_core.errors import InvalidRequestError, one_of
+from roboxim_core.poses import Vec3
+from roboxim_planner.collisions.broadphase import BodyGroup, LinkGroup
+from roboxim_planner.collisions.geometry import PlacedShape, convex_hull, make_shape
+from roboxim_planner.robot import PlannerRobot, se3
+from roboxim_planner.scene import GRIPPER, ROBOT, AllowedContact, Body, BodyShape, PlanningScene, TriangleMesh
+
+Array = npt.NDArray[np.float64]
+_WORLD_JOINT = 0
+_TOUCHING_M = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactPair:
+    """Two bodies that touch."""
+
+    body_a: str
+    """Robot link or body."""
+    body_b: str
+    """Robot link or body."""
+    depth: float
+    """Penetration, positive [m]; with padding, the missing distance."""
+    position: Vec3
+    """A point of the contact in the world [m]."""
+
+    def __str__(self) -> str:
+        """Format the pair for an error message."""
+        if self.depth < 5e-5:
+            return f"{self.body_a} and {self.body_b} touch"
+        return f"{self.body_a} and {self.body_b} overlap by {1000.0 * self.depth:.1f} mm"
+
+
+class ContactRules:
+    """Rules that tell which named bodies of a scene are checked against each other."""
+
+    def __init__(self, robot: PlannerRobot, scene: PlanningScene) -> None:
+        """Read the scene's rules.
+
+        Args:
+            robot: The robot.
+            scene: The scene, for its names, held bodies and allowed contacts.
+
+        Raises:
+            InvalidRequestError: On a body with a link's name, or an unknown name in an allowed contact or touch link.
+        """
+        links = set(robot.links)
+        for name in set(scene.names) & links:
+            raise InvalidRequestError(f"body '{name}' has the name of a robot link; give it another")
+        gripper = set(robot.description.gripper.links)
+        self._touch = {held.body.name: set(held.touch_links or gripper) for held in scene.attached}
+        for name, touched in self._touch.items():
+            for link in touched - links:
+                raise InvalidRequestError(f"attached '{name}': no touch link '{link}'; {one_of(robot.links, link)}")
+        self._known: dict[tuple[str, str], bool] = {}
+        self._allowed = list(_expand(scene.allowed, links, gripper, set(scene.names)))
+
+    def checks(self, a: str, b: str) -> bool:
+        """Tell whether two bodies are checked; pairs of robot links also follow the SRDF."""
+        if not self._touch and not self._allowed:
+            return True
+        known = self._known.get((a, b))
+        if known is None:
+            known = self._known[a, b] = self._decide(a, b)
+        return known
+
+    def _decide(self, a: str, b: str) -> bool:
+        if a in self._touch and (b in self._touch or b in self._touch[a]):
+            return False
+        if b in self._touch and a in self._touch[b]:
+            return False
+        return not any((a in x and b in y) or (b in x and a in y) for x, y in self._allowed)
+
+
+class ContactModel:
+    """The robot among the bodies of one scene, in coal. Not thread-safe."""
+
+    def __init__(
+        self, robot: PlannerRobot, scene: PlanningScene, rules: ContactRules, placed: Sequence[PlacedShape]
+    ) -> None:
+        """Build the geometry of a scene.
+
+        Args:
+            robot: The robot.
+            scene: The bodies around it.
+            rules: Which pairs are checked.
+            placed: Parts of the scene's bodies.
+
+        Raises:
+            InvalidRequestError: On a hull without volume.
+        """
+        self._robot = robot
+        self._scene = scene
+        self._rules = rules
+        self._placed = [(part.body, (make_shape(part.shape), part.pose)) for part in placed]
+        self._scratch = robot.scratch
+        self._q = robot.full(np.zeros(robot.dof), scene.gripper_opening)
+        pairs = tuple(
+            (first, second)
+            for first, second in robot.self_pairs
+            if not scene.allowed or rules.checks(robot.item_links[first], robot.item_links[second])
+        )
+        self._own = robot.link_group(tuple(range(len(robot.item_links))), pairs)
+        self._apart = list(self._groups())
+
+    def _groups(self) -> Iterator[tuple[LinkGroup, LinkGroup | BodyGroup]]:
+        """Yield groups of shapes that must stay apart: links against bodies, held bodies against bodies and links."""
+        robot, rules, scene, placed = self._robot, self._rules, self._scene, self._placed
+        moving = [i for i in range(robot.whole_shapes) if robot.item_joints[i] >= 0]
+        rests: dict[tuple[bool, ...], BodyGroup] = {}
+
+        def resting(name: str) -> tuple[bool, ...]:
+            if not scene.allowed:
+                return (True,) * len(placed)
+            return tuple(rules.checks(name, body) for body, _ in placed)
+
+        def among(rows: Iterable[tuple[bool, ...]]) -> Iterator[tuple[tuple[bool, ...], BodyGroup]]:
+            for row in dict.fromkeys(rows):
+                if any(row):
+                    if row not in rests:
+                        rests[row] = BodyGroup(
+                            [item for (_, item), checked in zip(placed, row, strict=True) if checked]
+                        )
+                    yield row, rests[row]
+
+        rows = [resting(robot.item_links[i]) for i in moving]
+        for row, bodies in among(rows):
+            yield robot.link_group(tuple(i for i, own in zip(moving, rows, strict=True) if own == row)), bodies
+        for held in scene.attached:
+            group = LinkGroup(robot.model, self._held_items(held.body))
+            yield from ((group, bodies) for _, bodies in among([resting(held.body.name)]))
+            names = robot.item_links[: robot.whole_shapes]
+            links = tuple(i for i, link in enumerate(names) if rules.checks(link, held.body.name))
+            if links:
+                yield group, robot.link_group(links)
+
+    def _held_items(self, body: Body) -> Iterator[pin.GeometryObject]:
+        tcp = self._robot.model.frames[self._robot.tcp_frame]
+        placement = tcp.placement * se3(body.pose)
+        for i, shape in enumerate(body.shapes):
+            yield pin.GeometryObject(
+                f"{body.name}#{i}", tcp.parentJoint, 0, placement * se3(shape.pose), held_shape(shape)
+            )
+
+    def is_free(self, joints: Array) -> bool:
+        """Tell whether an arm configuration of shape (dof,) touches nothing."""
+        self._q[self._robot.arm_indices] = joints
+        if not self._own.is_apart_at(self._scratch, self._q):
+            return False
+        for group in self._moved:
+            group.place(self._scratch)
+        for group, other in self._apart:  # noqa: SIM110 (half the time of all(...))
+            if not group.is_apart_from(other):
+                return False
+        return True
+
+    @cached_property
+    def _moved(self) -> list[LinkGroup]:
+        groups = [group for pair in self._apart for group in pair if isinstance(group, LinkGroup)]
+        return list(dict.fromkeys(groups))
+
+    @cached_property
+    def _pairs(self) -> _PairModel:
+        return _PairModel(self._robot, self._scene, self._rules)
+
+    def contacts(self, joints: Array, padding: float = 0.0) -> tuple[ContactPair, ...]:
+        """Return every pair that touches at an arm configuration, deepest first, one per pair of names.
+
+        Args:
+            joints: Arm configuration, shape (dof,) [rad].
+            padding: Distance from obstacles below which they count as touching [m].
+        """
+        return self._pairs.contacts(joints, padding)
+
+
+class _PairModel:
+    """The same scene as one geometry model with explicit pairs of shapes: slow to build, but it says what touches."""
+
+    def __init__(self, robot: PlannerRobot, scene: PlanningScene, rules: ContactRules) -> None:
+        self._robot = robot
+        self._scene = scene
+        self._base = se3(scene.robot_pose)
+        self._names = list(robot.item_links)
+        self._model = robot.geometry.copy()
+        own = len(self._names)
+        to_base = self._base.inverse()
+        for body in scene.bodies:
+            self._add(body, _WORLD_JOINT, to_base * se3(body.pose), held=False)
+        tcp = robot.model.frames[robot.tcp_frame]
+        for held in scene.attached:
+            self._add(held.body, tcp.parentJoint, tcp.placement * se3(held.body.pose), held=True)
+        fixed = [item.parentJoint == _WORLD_JOINT for item in self._model.geometryObjects]
+        for i in range(own, len(self._names)):
+            for j in (*range(robot.whole_shapes), *range(own, i)):
+                if not (fixed[i] and fixed[j]) and rules.checks(self._names[j], self._names[i]):
+                    self._model.addCollisionPair(pin.CollisionPair(j, i))
+        for pair in list(robot.geometry.collisionPairs) if scene.allowed else ():
+            if not rules.checks(self._names[pair.first], self._names[pair.second]):
+                self._model.removeCollisionPair(pair)
+        self._data = self._model.createData()
+
+    def _add(self, body: Body, joint: int, placement: pin.SE3, *, held: bool) -> None:
+        for i, shape in enumerate(body.shapes):
+            made = held_shape(shape) if held else make_shape(shape)
+            item = pin.GeometryObject(f"{body.name}#{i}", joint, 0, placement * se3(shape.pose), made)
+            self._names.append(body.name)
+            self._model.addGeometryObject(item)
+
+    def _distance(self, pair: int) -> float:
+        pin.computeDistance(self._model, self._data, pair)
+        return float(self._data.distanceResults[pair].min_distance)
+
+    def contacts(self, joints: Array, padding: float) -> tuple[ContactPair, ...]:
+        q = self._robot.full(joints, self._scene.gripper_opening)
+        pin.updateGeometryPlacements(self._robot.model, self._robot.scratch, self._model, self._data, q)
+        deepest: dict[tuple[str, str], ContactPair] = {}
+        own = len(self._robot.geometry.geometryObjects)
+        for k, pair in enumerate(self._model.collisionPairs):
+            allowed = padding if max(pair.first, pair.second) >= own else 0.0
+            if self._distance(k) > max(allowed, _TOUCHING_M):
+                continue
+            result = self._data.distanceResults[k]
+            names = self._names[pair.first], self._names[pair.second]
+            x, y, z = self._base.act(0.5 * (result.getNearestPoint1() + result.getNearestPoint2()))
+            found = ContactPair(
+                body_a=names[0], body_b=names[1], depth=max(0.0, allowed - result.min_distance),
+                position=(float(x), float(y), float(z)),
+            )  # fmt: skip
+            if names not in deepest or found.depth > deepest[names].depth:
+                deepest[names] = found
+        return tuple(sorted(deepest.values(), key=lambda c: (-c.depth, c.body_a, c.body_b)))
+
+
+def held_shape(shape: BodyShape) -> coal.CollisionGeometry:
+    """Return the collision shape of a held shape: a mesh becomes its convex hull."""
+    if not isinstance(shape, TriangleMesh):
+        return make_shape(shape)
+    made = coal.Convex(convex_hull(shape.vertices))
+    made.computeLocalAABB()
+    return made
+
+
+def _expand(
+    pairs: Iterable[AllowedContact], links: set[str], gripper: set[str], bodies: set[str]
+) -> Iterator[tuple[set[str], set[str]]]:
+    groups: dict[str, set[str]] = {ROBOT: links, GRIPPER: gripper, "": links | bodies}
+
+    def members(name: str) -> set[str]:
+        if name not in groups and name not in groups[""]:
+            names = one_of((*groups[""], ROBOT, GRIPPER), name)
+            raise InvalidRequestError(f"allowed contact of an unknown body '{name}'; {names}")
+        return groups.get(name, {name})
+
+    for pair in pairs:
+        yield members(pair.body_a), members(pair.body_b)

@@ -1,0 +1,1 @@
+"""Paths, their time laws, and the verification of the result."""

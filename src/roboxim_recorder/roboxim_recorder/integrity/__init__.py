@@ -1,0 +1,1 @@
+"""Whether a bag is whole, and what is saved of a damaged one."""

@@ -1,0 +1,1 @@
+"""Calls and ticks between nodes of one process, without the middleware."""

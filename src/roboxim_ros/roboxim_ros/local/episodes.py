@@ -1,0 +1,11 @@
+"""Episodes as one call, for a caller in the process of the evaluator.
+
+Other processes use the action and the service of the same name.
+"""
+
+from __future__ import annotations
+
+RUN_EPISODES = "evaluator/run_episodes"
+"""Name, relative to the graph's namespace, of a function that runs in the caller's thread (`roboxim_ros.local.calls`):
+``(config: RunConfig, indices: Sequence[int], told: (episode_id, seq) -> None, cancelled: () -> bool) ->
+list[EpisodeResult]``. It calls ``told`` from time to time, and ``cancelled`` before every tick."""

@@ -1,0 +1,1 @@
+"""Messages and the core's values: conversion, serialising, definitions."""

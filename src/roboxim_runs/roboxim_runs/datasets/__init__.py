@@ -1,0 +1,1 @@
+"""Datasets: exports, conversions, audits, planted faults, and the replay gate."""

@@ -1,0 +1,327 @@
+"""Audits bags and datasets: finds faults that spoil training data, and reports them with pictures.
+
+The checks are those of `roboxim_datasets.audit`. Bags hold the state of the scene, so `runs.audit_truth` measures
+ground truth from them; a dataset has it where its bags are given. The rest is checked on the dataset alone.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from roboxim_bringup.cores import CoreSegmentation
+from roboxim_core.errors import ConfigError, RecorderError, RoboximError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_datasets.audit import AUDIT_CHECKS, AuditEpisode, Auditor, AuditResult, Finding
+from roboxim_datasets.audit.report import AuditReport, Picture, write_audit
+from roboxim_datasets.dataset import Dataset
+from roboxim_datasets.episode import Episode
+from roboxim_datasets.formats import open_dataset
+from roboxim_recorder.bag import BagReader
+from roboxim_recorder.bag_writer import disk_errors
+from roboxim_recorder.export.episodes import bag_episode
+from roboxim_recorder.export.selection import Source
+from roboxim_recorder.run_bags import list_bags, run_bags
+from roboxim_runs.datasets.audit_truth import BagTruth, TruthPorts
+from roboxim_runs.events import (
+    OnEvent,
+    StageFinished,
+    StageProgress,
+    StageStarted,
+    ignore,
+    telling_interruption,
+)
+from roboxim_runs.executors import Cancellation, CancelledError
+from roboxim_runs.storage.folder import checked_path
+from roboxim_sim.world import World
+
+PICTURED_TICKS = 4
+"""Most ticks of a finding that are shown."""
+PICTURED_CAMERAS = 3
+"""Most cameras of a finding that are shown."""
+OTHER_RATE = "its bag has another number of ticks: the dataset was subsampled or cut"
+NO_BAG = "none of the bags given is of this episode"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuditConfig:
+    """What to check."""
+
+    checks: tuple[str, ...] = ()
+    """Names of checks; empty: all."""
+    bags: tuple[Path, ...] = ()
+    """Runs, folders of bags or bags in which a dataset's episodes are looked up, for the checks that need ground
+    truth."""
+    render: bool = True
+    """Whether to render segmentation images, for the checks of visibility and colours."""
+    replay: bool = False
+    """Whether to execute the bags' actions again."""
+    episodes: int = 0
+    """Number of episodes to check, from the first; 0: all."""
+    pictures: int = 3
+    """Number of findings per check that are shown with pictures."""
+
+    def __post_init__(self) -> None:
+        """Check names and numbers.
+
+        Raises:
+            ConfigError: On an unknown check, or a negative number.
+        """
+        for name in self.checks:
+            AUDIT_CHECKS[name]
+        for name in ("episodes", "pictures"):
+            if getattr(self, name) < 0:
+                raise ConfigError(f"{name} must be >= 0, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Audited:
+    """A finished audit."""
+
+    result: AuditResult
+    """What was found."""
+    page: Path
+    """The report, ``report.html``; ``audit.json`` is beside it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Entry:
+    """An episode that is to be audited."""
+
+    name: str
+    split: str = ""
+    episode: Episode | None = None
+    bag: Path | None = None
+    no_bag: str = ""
+
+
+def audit_dataset(
+    path: Path | str,
+    out: Path | str | None = None,
+    config: AuditConfig | None = None,
+    *,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> Audited:
+    """Audit a run, a folder of bags, a bag, or a dataset of any registered format, and write the report.
+
+    Args:
+        path: The bags or the dataset.
+        out: Folder for ``report.html`` and ``audit.json``; none: ``<path>-audit``.
+        config: What to check; none: everything that needs no simulation.
+        on_event: Receives the run's events.
+        cancellation: Ends the audit when it is set.
+
+    Raises:
+        CancelledError: When the audit was cancelled.
+        ConfigError: When the path is neither bags nor a dataset, or a check is unknown.
+        RecorderError: When the dataset's description is damaged, or the report cannot be written. An episode that
+            cannot be read is reported, and the others are audited.
+    """
+    path, config = Path(path), config or AuditConfig()
+    folder = Path(out) if out is not None else path.with_name(f"{path.resolve().name}-audit")
+    checked_path(folder)
+    total, entries = _entries(path, config)
+    auditor, pictures = Auditor(config.checks), _Pictures(config.pictures)
+    sources: dict[str, str] = {}
+    with ExitStack() as stack, telling_interruption(on_event, lambda: "the same call or command starts again"):
+        ports = _ports(config, stack)
+        on_event(StageStarted(title="auditing", total=total, unit="episodes"))
+        for done, entry in enumerate(entries, start=1):
+            if cancellation is not None and cancellation.is_set():
+                raise CancelledError("the audit was cancelled")
+            try:
+                episode = _episode(entry, ports)
+            except RoboximError as error:
+                auditor.add_unreadable(entry.name, str(error))
+            else:
+                sources[entry.name] = episode.source
+                pictures.take(episode, auditor.add(episode))
+            on_event(StageProgress(done=done, total=total))
+        on_event(StageFinished())
+    result = auditor.result()
+    report = AuditReport(
+        title=f"Audit of {path}",
+        result=result,
+        pictures=pictures.taken,
+        sources={name: source for name, source in sources.items() if source},
+        facts=_facts(path, config, result),
+        versions={"roboxim": version("roboxim")},
+        command=_command(path, out, config),
+    )
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        return Audited(result=result, page=write_audit(report, folder))
+
+
+def _ports(config: AuditConfig, stack: ExitStack) -> TruthPorts:
+    library = ModelLibrary()
+    segmentation = CoreSegmentation(library) if config.render else None
+    if segmentation is not None:
+        stack.callback(segmentation.close)
+    sim = World(library) if config.replay else None
+    if sim is not None:
+        stack.callback(sim.close)
+    return TruthPorts(library=library, segmentation=segmentation, sim=sim)
+
+
+# ------------------------------------------------------------------ episodes
+
+
+def holds_bags(path: Path) -> bool:
+    """Return whether a path is a run, a folder of bags, or a bag."""
+    if path.is_file():
+        return path.suffix == ".mcap"
+    inside = path / "episodes" if (path / "episodes").is_dir() else path
+    return any(inside.glob("*.mcap")) or any(inside.glob("[!.]*/*.mcap"))
+
+
+def _entries(path: Path, config: AuditConfig) -> tuple[int, Iterator[_Entry]]:
+    """Return the number of episodes, and the episodes one after another."""
+    if not path.exists():
+        raise ConfigError(f"no such folder: {path}; expected a run, a folder of bags, or a dataset")
+    most = config.episodes or None
+    if holds_bags(path):
+        bags = ([path] if path.is_file() else list(run_bags(path).paths))[:most]
+        return len(bags), (_Entry(name=bag.name, bag=bag) for bag in bags)
+    dataset = open_dataset(path)
+    count = min(len(dataset), most or len(dataset))
+    return count, _of_dataset(dataset, count, _Bags(config.bags))
+
+
+def _of_dataset(dataset: Dataset, count: int, bags: _Bags) -> Iterator[_Entry]:
+    for number in range(count):
+        split, index = dataset.place(number)
+        name = f"{split}/{index}"
+        try:
+            episode = dataset.episode(number)
+        except RecorderError as error:
+            yield _Entry(name=name, split=split, no_bag=str(error))
+            continue
+        bag, why = bags.find(episode)
+        yield _Entry(name=name, split=split, episode=episode, bag=bag, no_bag=why)
+
+
+class _Bags:
+    """Bags by episode id."""
+
+    def __init__(self, folders: Sequence[Path]) -> None:
+        self._given = bool(folders)
+        self._paths: dict[str, list[Path]] = {}
+        for folder in folders:
+            for bag in [folder] if folder.is_file() else list_bags(folder):
+                name = bag.parent.name if bag.is_file() else bag.name
+                self._paths.setdefault(name, []).append(bag)
+
+    def find(self, episode: Episode) -> tuple[Path | None, str]:
+        """Return the bag of a dataset's episode, or why there is none."""
+        if not self._given:
+            return None, ""
+        wanted = episode.metadata.get("final_state_hash")
+        for bag in self._paths.get(episode.episode_id, ()):
+            try:
+                if wanted is None or BagReader(bag).result.final_state_hash == wanted:
+                    return bag, ""
+            except RecorderError:
+                continue
+        return None, NO_BAG
+
+
+def _episode(entry: _Entry, ports: TruthPorts) -> AuditEpisode:
+    """Return an episode with its ground truth.
+
+    Raises:
+        RoboximError: When it cannot be read.
+    """
+    truth = None
+    if entry.bag is not None:
+        truth = BagTruth(entry.bag, ports, entry.episode)
+    episode = entry.episode
+    if episode is None:
+        if truth is None or entry.bag is None:
+            raise RecorderError(entry.no_bag)
+        source = Source(path=entry.bag, info=truth.info, result=truth.result)
+        episode = bag_episode(source, truth.joint_names)
+    made = AuditEpisode(name=entry.name, split=entry.split, episode=episode, source=str(entry.bag or ""))
+    made.no_truth = entry.no_bag or made.no_truth
+    made.joint_limits = _joint_limits(episode, ports.library)
+    if truth is not None:
+        if truth.steps == len(episode):
+            made.truth = truth.measure()
+        else:
+            made.no_truth = OTHER_RATE
+    return made
+
+
+def _joint_limits(episode: Episode, library: ModelLibrary) -> tuple[tuple[float, float], ...]:
+    """Return the limits of an episode's arm joints; empty: the robot or its joints are not known."""
+    if episode.robot not in library.robot_ids:
+        return ()
+    robot = library.robot(episode.robot)
+    limits = dict(zip(robot.joint_names, zip(robot.limits.lower, robot.limits.upper, strict=True), strict=True))
+    return tuple(limits[name] for name in episode.joint_names) if set(episode.joint_names) <= limits.keys() else ()
+
+
+# ------------------------------------------------------------------ report
+
+
+class _Pictures:
+    """Takes the pictures of the first findings of each check."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._pictured: Counter[str] = Counter()
+        self._found: Counter[str] = Counter()
+        self.taken: dict[tuple[str, int], list[Picture]] = {}
+
+    def take(self, episode: AuditEpisode, found: Iterable[tuple[str, Finding]]) -> None:
+        """Take the pictures of an episode's findings."""
+        wanted: dict[tuple[str, int], set[tuple[str, int]]] = {}
+        for check, finding in found:
+            number = self._found[check]
+            self._found[check] += 1
+            cameras = [c for c in finding.cameras or episode.episode.cameras if c in episode.episode.cameras]
+            if self._pictured[check] < self._most and cameras and finding.ticks:
+                self._pictured[check] += 1
+                last = len(episode.episode) - 1
+                ticks = {min(tick, last) for tick in finding.ticks[:PICTURED_TICKS]}
+                wanted[check, number] = {(c, tick) for c in cameras[:PICTURED_CAMERAS] for tick in ticks}
+        if wanted:
+            self._read(episode.episode, wanted)
+
+    def _read(self, episode: Episode, wanted: Mapping[tuple[str, int], set[tuple[str, int]]]) -> None:
+        places = set().union(*wanted.values())
+        cameras = sorted({camera for camera, _ in places})
+        shown = {}
+        for step in episode.steps(cameras):
+            for camera in cameras:
+                if (camera, step.index) in places:
+                    shown[camera, step.index] = Picture.of(camera, step.index, step.images[camera])
+        for key, of_finding in wanted.items():
+            self.taken[key] = [shown[place] for place in sorted(of_finding)]
+
+
+def _facts(path: Path, config: AuditConfig, result: AuditResult) -> dict[str, str]:
+    return {
+        "audited": str(path),
+        "episodes": str(result.episodes),
+        "steps": str(result.steps),
+        "ground truth": "bags" if holds_bags(path) else ", ".join(map(str, config.bags)) or "none",
+        "visibility and colours": "rendered" if config.render else "not rendered",
+        "replay": "executed again" if config.replay else "not executed",
+    }
+
+
+def _command(path: Path, out: Path | str | None, config: AuditConfig) -> str:
+    words = ["roboxim", "dataset", "audit", str(path)]
+    words += [word for name in config.checks for word in ("--check", name)]
+    words += [word for folder in config.bags for word in ("--bags", str(folder))]
+    words += ["--replay"] * config.replay + ["--no-render"] * (not config.render)
+    words += ["--episodes", str(config.episodes)] if config.episodes else []
+    words += ["--out", str(out)] if out is not None else []
+    return shlex.join(words)

@@ -1,0 +1,199 @@
+"""Exports recorded episodes as a dataset."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from roboxim_core.errors import ErrorCode, RecorderError
+from roboxim_core.whole_files import write_whole
+from roboxim_recorder.bag_writer import disk_errors
+from roboxim_recorder.export import ExportReport, Selection, export_bags
+from roboxim_recorder.export.hdf5 import Hdf5Config
+from roboxim_recorder.export.lerobot import LeRobotConfig
+from roboxim_recorder.export.rlds import ExportConfig
+from roboxim_runs.events import (
+    Notice,
+    OnEvent,
+    StageFinished,
+    StageProgress,
+    StageStarted,
+    ignore,
+    telling_interruption,
+)
+from roboxim_runs.executors import Cancellation, CancelledError
+from roboxim_runs.storage.folder import RUN_FILE, RunFolder, checked_path, command_of
+
+REPLAY_FILE = "replay.json"
+"""File beside a dataset that has passed or not passed the gate, with every episode and tick."""
+STAGED = ".gate"
+"""Ending of the folder of an export until it has passed the gate."""
+REFUSED = ".refused"
+"""Ending of the folder of an export that has not passed the gate."""
+IfExists = Literal["refuse", "overwrite", "keep"]
+
+__all__ = [
+    "ExportConfig",
+    "ExportReport",
+    "Hdf5Config",
+    "LeRobotConfig",
+    "export_dataset",
+    "export_rlds",
+    "unfinished",
+]
+
+
+def export_dataset(
+    name: str,
+    source: Path | str | Sequence[Path | str],
+    target: Path | str,
+    config: Selection | None = None,
+    *,
+    overwrite: bool = False,
+    gate: int = 0,
+    workers: int = 1,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> ExportReport:
+    """Export the bags of runs as a dataset.
+
+    The same call continues an interrupted export. An existing dataset of the same bags and configuration is kept.
+
+    With a gate, the dataset gets its place only after some of its episodes were executed again and retained their
+    successes (`roboxim_runs.datasets.replay_gate`); a refused one is left in ``<target>.refused``. The result is in the
+    dataset's `REPLAY_FILE`.
+
+    Args:
+        name: Registered format, e.g. ``rlds``.
+        source: A run's folder, a folder of bags, or one bag; or several of them.
+        target: Folder to write the dataset into.
+        config: Configuration of the format's class; none: the defaults.
+        overwrite: Replace an existing dataset.
+        gate: Number of episodes to execute again, spread evenly; 0: no gate.
+        workers: Processes that read and encode episodes (see `export_bags`) and that execute them again.
+        on_event: Receives the run's events.
+        cancellation: Ends the export when it is set.
+
+    Raises:
+        CancelledError: When the export was cancelled.
+        ConfigError: On an unknown format.
+        InvalidRequestError: On a name, camera or size that does not fit.
+        RecorderError: ``EXPORT_REFUSED`` when there is nothing to export, when bags are missing or do not fit together,
+            when the dataset exists, or when it does not pass the gate; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it
+            cannot be written.
+    """
+    checked_path(target)
+    sources = [Path(source)] if isinstance(source, str | Path) else [Path(path) for path in source]
+    for note in filter(None, map(unfinished, sources)):
+        on_event(Notice(text=f"{note}; later episodes need another export with --overwrite or overwrite=True"))
+
+    def progress(done: int, total: int) -> None:
+        if cancellation is not None and cancellation.is_set():
+            raise CancelledError("the export was cancelled")
+        on_event(StageProgress(done=done, total=total))
+
+    def export(place: Path, if_exists: IfExists) -> ExportReport:
+        with telling_interruption(on_event, lambda: "the same call or command continues the export"):
+            on_event(StageStarted(title="exporting", total=1, unit="episodes"))
+            report = export_bags(name, sources, place, config, if_exists=if_exists, workers=workers, progress=progress)
+            on_event(StageFinished())
+        return report
+
+    def refusal(dataset: Path) -> str:
+        from roboxim_runs.datasets.replay_gate import replay_dataset  # imports the simulator
+
+        replayed = replay_dataset(
+            dataset, sources, episodes=gate, workers=max(1, workers), on_event=on_event, cancellation=cancellation
+        )
+        folder = dataset if dataset.is_dir() else dataset.parent
+        write_whole(folder / REPLAY_FILE, replayed.to_json())
+        on_event(Notice(text="\n".join(list(replayed.lines)[1:])))
+        return replayed.refusal
+
+    if gate:
+        return gated(Path(target), export, refusal, overwrite=overwrite)
+    return export(Path(target), "overwrite" if overwrite else "keep")
+
+
+def gated(
+    target: Path,
+    export: Callable[[Path, IfExists], ExportReport],
+    refusal: Callable[[Path], str],
+    *,
+    overwrite: bool = False,
+) -> ExportReport:
+    """Export to a folder beside the target, and move the dataset to the target if it is not refused.
+
+    Args:
+        target: Folder that the dataset belongs into.
+        export: Exports into a folder.
+        refusal: Returns why a dataset is refused; empty: it passes.
+        overwrite: Whether a dataset that is there already is replaced.
+
+    Raises:
+        RecorderError: ``EXPORT_REFUSED`` when the dataset is refused; as ``export`` does.
+    """
+    if target.exists() and not overwrite:  # holds a dataset of the same bags and settings, or another: an error
+        report, stage = export(target, "keep"), None
+    else:
+        stage = target.with_name(f"{target.name}{STAGED}")
+        report = export(stage, "overwrite")
+    if why := refusal(report.path):
+        if stage is not None:
+            kept = target.with_name(f"{target.name}{REFUSED}")
+            with disk_errors(kept):
+                shutil.rmtree(kept, ignore_errors=True)
+                stage.rename(kept)
+            why += f"; the refused dataset is in {kept}"
+        raise RecorderError(f"the export does not pass the replay gate: {why}", ErrorCode.EXPORT_REFUSED)
+    if stage is None:
+        return report
+    place = target / report.path.relative_to(stage)
+    with disk_errors(place):
+        _move(report.path, place)
+        shutil.rmtree(stage, ignore_errors=True)
+    return replace(report, path=place)
+
+
+def _move(new: Path, place: Path) -> None:
+    """Move a dataset to its place; one that is there already is replaced."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    old = place.with_name(f".{place.name}.old")
+    shutil.rmtree(old, ignore_errors=True)
+    if place.is_dir():
+        place.rename(old)
+    new.replace(place)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def export_rlds(
+    source: Path | str | Sequence[Path | str],
+    target: Path | str,
+    config: ExportConfig | None = None,
+    *,
+    overwrite: bool = False,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> ExportReport:
+    """Export as RLDS, loadable by TensorFlow Datasets, Octo and OpenVLA; see `export_dataset`."""
+    return export_dataset(
+        "rlds", source, target, config, overwrite=overwrite, on_event=on_event, cancellation=cancellation
+    )
+
+
+def unfinished(source: Path) -> str:
+    """Return the progress of an unfinished source run; empty when it is finished, or when the source is not a run."""
+    folder = RunFolder(source.parent if source.name == "episodes" else source)
+    if not (folder.path / RUN_FILE).exists():
+        return ""
+    config, done = folder.config(), len(folder.results())
+    wanted = int(config.get("episodes", done))
+    running = folder.in_use
+    if not running and done >= wanted:
+        return ""
+    far = f"{done} of {wanted} episodes are done" if "episodes" in config else f"{done} episodes are done"
+    command = f"'roboxim {command_of(config)}'"
+    return f"{far}; " + (f"{command} is still running there" if running else f"{command} was stopped there")

@@ -1,0 +1,184 @@
+"""Converts, merges, splits and compares datasets of any format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from roboxim_core.errors import ConfigError
+from roboxim_datasets.compare import LOWEST_PSNR_DB, Comparison, Images, compare
+from roboxim_datasets.formats import open_dataset
+from roboxim_datasets.rewrite import Plan, Written, options_like, plan_of, split_plan, write_dataset
+from roboxim_runs.events import (
+    OnEvent,
+    StageFinished,
+    StageProgress,
+    StageStarted,
+    ignore,
+    telling_interruption,
+)
+from roboxim_runs.executors import Cancellation, CancelledError
+from roboxim_runs.storage.folder import checked_path
+
+__all__ = ["Comparison", "Written", "compare_datasets", "convert_dataset", "merge_datasets", "split_dataset"]
+
+
+def convert_dataset(
+    source: Path | str,
+    target: Path | str,
+    format: str,
+    options: Any = None,
+    *,
+    fps: float = 0.0,
+    overwrite: bool = False,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> Written:
+    """Write a dataset in another format. The same call continues an interrupted conversion.
+
+    Args:
+        source: The dataset; it is only read.
+        target: Folder to write into.
+        format: Registered name of the format.
+        options: Options of the format; None: the defaults.
+        fps: Steps per second of a source that does not say it; 0: unknown.
+        overwrite: Replace an existing dataset.
+        on_event: Receives the run's events.
+        cancellation: Ends the conversion when it is set.
+
+    Raises:
+        CancelledError: When the conversion was cancelled.
+        ConfigError: When there is no such dataset or format.
+        InvalidRequestError: When the format does not hold what the episodes have.
+        RecorderError: ``EXPORT_REFUSED`` when the target exists or lies in the source; ``BAG_DAMAGED`` when the source
+            cannot be read.
+    """
+    plan = plan_of(open_dataset(source))
+    return _write(plan, Path(target), format, options, "convert", overwrite, on_event, cancellation, fps)
+
+
+def merge_datasets(
+    sources: Sequence[Path | str],
+    target: Path | str,
+    *,
+    overwrite: bool = False,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> Written:
+    """Write several datasets of one format as one, split by split. The same call continues an interrupted merge.
+
+    Args:
+        sources: The datasets; they are only read. They must have the same features, meaning of actions and robot.
+        target: Folder to write into.
+        overwrite: Replace an existing dataset.
+        on_event: Receives the run's events.
+        cancellation: Ends the merge when it is set.
+
+    Raises:
+        CancelledError: When the merge was cancelled.
+        ConfigError: When there is no such dataset, or the formats differ.
+        RecorderError: ``EXPORT_REFUSED`` when the datasets do not fit together, or an episode occurs twice.
+    """
+    datasets = [open_dataset(source) for source in sources]
+    kinds = {dataset.format for dataset in datasets}
+    if len(kinds) > 1:
+        raise ConfigError(f"datasets of several formats ({', '.join(sorted(kinds))}); convert them to one first")
+    plan = plan_of(*datasets)
+    options = options_like(datasets[0])
+    return _write(plan, Path(target), datasets[0].format, options, "merge", overwrite, on_event, cancellation)
+
+
+def split_dataset(
+    source: Path | str,
+    target: Path | str,
+    counts: Mapping[str, int],
+    *,
+    apart: bool = False,
+    overwrite: bool = False,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> dict[str, Written]:
+    """Divide a dataset anew. The same call continues an interrupted one.
+
+    Args:
+        source: The dataset; it is only read.
+        target: Folder to write into.
+        counts: Split to its number of episodes; 0: the rest.
+        apart: Whether each split becomes a dataset of its own, ``target/<split>``, for trainers that ignore splits.
+        overwrite: Replace existing datasets.
+        on_event: Receives the run's events.
+        cancellation: Ends it when it is set.
+
+    Returns:
+        Split to the dataset that holds it.
+
+    Raises:
+        CancelledError: When it was cancelled.
+        ConfigError: When there is no such dataset.
+        InvalidRequestError: When the counts are not those of the dataset.
+        RecorderError: ``EXPORT_REFUSED`` when the target exists or lies in the source.
+    """
+    dataset = open_dataset(source)
+    plan = split_plan(dataset, counts)
+    options = options_like(dataset)
+    if not apart:
+        whole = _write(plan, Path(target), dataset.format, options, "split", overwrite, on_event, cancellation)
+        return dict.fromkeys(plan, whole)
+    return {
+        split: _write(
+            {"train": places}, Path(target) / split, dataset.format, options, "split", overwrite, on_event, cancellation
+        )
+        for split, places in plan.items()
+    }
+
+
+def compare_datasets(
+    a: Path | str,
+    b: Path | str,
+    *,
+    images: Images = "auto",
+    lowest_psnr_db: float = LOWEST_PSNR_DB,
+    ignore_names: Sequence[str] = (),
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> Comparison:
+    """Compare two datasets of any formats; see `roboxim_datasets.compare.compare`.
+
+    Raises:
+        CancelledError: When it was cancelled.
+        ConfigError: When there is no such dataset.
+        RecorderError: With code ``BAG_DAMAGED`` when one cannot be read.
+    """
+    one, other = open_dataset(a), open_dataset(b)
+    on_event(StageStarted(title="comparing", total=len(one), unit="episodes"))
+    found = compare(
+        one, other, images=images, lowest_psnr_db=lowest_psnr_db, ignore=ignore_names,
+        progress=_progress(on_event, cancellation),
+    )  # fmt: skip
+    on_event(StageFinished())
+    return found
+
+
+def _write(
+    plan: Plan, target: Path, format: str, options: Any, how: str, overwrite: bool, on_event: OnEvent,
+    cancellation: Cancellation | None, fps: float = 0.0,
+) -> Written:  # fmt: skip
+    checked_path(target)
+    with telling_interruption(on_event, lambda: "the same call or command continues it"):
+        on_event(StageStarted(title=f"writing {format}", total=sum(map(len, plan.values())), unit="episodes"))
+        written = write_dataset(
+            plan, target, format, options, how=how, keep_keys=how != "convert", overwrite=overwrite,
+            fps=fps, progress=_progress(on_event, cancellation),
+        )  # fmt: skip
+        on_event(StageFinished())
+    return written
+
+
+def _progress(on_event: OnEvent, cancellation: Cancellation | None) -> Any:
+    def progress(done: int, total: int) -> None:
+        if cancellation is not None and cancellation.is_set():
+            raise CancelledError("it was cancelled")
+        on_event(StageProgress(done=done, total=total))
+
+    return progress

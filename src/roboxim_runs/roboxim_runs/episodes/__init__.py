@@ -1,0 +1,1 @@
+"""Runs of episodes: demonstrations, and recorded episodes rendered or executed again."""

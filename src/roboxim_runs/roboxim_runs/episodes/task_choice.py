@@ -1,0 +1,113 @@
+"""Conversion of the command line's task options to the YAML text for the task node."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from roboxim_core.config import config_dirs, named_config, parse_yaml
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.plain_data.documents import read_text
+
+DEFAULT_TASK = "pick_cube"
+
+
+def task_text(
+    task: str = "", *, skill: str = "", objects: Sequence[str] = (), distractors: str = "", colors: str = ""
+) -> str:
+    """Return a task configuration as YAML text, with the command line's overrides.
+
+    Args:
+        task: Name in ``config/tasks`` or a file; empty: the skill's task, or the default task.
+        skill: A skill, whose own configuration is ``config/tasks/<skill>.yaml`` if there is one.
+        objects: ``[ROLE=]MODEL[,MODEL]``, the default role is ``target``.
+        distractors: Number or range of distractors, e.g. ``1-3``; empty: as configured.
+        colors: Comma-separated colours of the target; empty: as configured.
+
+    Raises:
+        ConfigError: When the task or skill is unknown, or the result is not valid.
+    """
+    from roboxim_tasks.config import any_task_config
+
+    text, source = _base(task, skill)
+    any_task_config(parse_yaml(text, source=source), source=source)
+    if not (objects or distractors or colors):
+        return text
+    data: dict[str, Any] = yaml.safe_load(text) or {}
+    changed = data
+    if "cells" in data:
+        if objects:
+            raise ConfigError(f"'{task}' is a mix of tasks with objects of its own; --object needs a task of one skill")
+        changed = data.setdefault("set", {})
+    for item in objects:
+        _set_models(changed, item)
+    if distractors:
+        found = re.fullmatch(r"(\d+)(?:-(\d+))?", distractors)
+        if not found:
+            raise ConfigError(f"--distractors must be a number or a range such as 1-3, got '{distractors}'")
+        low = int(found[1])
+        changed.setdefault("distractors", {}).update(minimum=low, maximum=int(found[2] or low))
+    if colors:
+        target = changed.setdefault("objects", {}).setdefault("target", {})
+        target.setdefault("modifiers", {})["color"] = {"values": [color.strip() for color in colors.split(",")]}
+    text = str(yaml.safe_dump(data, sort_keys=False))
+    any_task_config(data, source=f"{source} with the command line's options")
+    return text
+
+
+def _base(task: str, skill: str) -> tuple[str, str]:
+    """Return a task configuration's text and its source."""
+    from roboxim_tasks.skills import SKILLS
+
+    if task and skill:
+        raise ConfigError(f"give either --task {task} or --skill {skill}: a task has a skill of its own")
+    if not skill:
+        return _read(named_config("tasks", task or DEFAULT_TASK))
+    if skill not in SKILLS:
+        raise ConfigError(f"unknown skill '{skill}'; {one_of(SKILLS, skill)}")
+    files = (folder / "tasks" / f"{skill}.yaml" for folder in config_dirs())
+    return next((_read(file) for file in files if file.is_file()), (f"skill: {skill}\n", f"skill '{skill}'"))
+
+
+def _read(file: Path) -> tuple[str, str]:
+    from roboxim_tasks.config import require_content
+
+    text = read_text(file)
+    require_content(parse_yaml(text, source=str(file)), source=str(file))
+    return text, str(file)
+
+
+def _set_models(data: dict[str, Any], item: str) -> None:
+    """Set the models of a role. Drop modifiers and modifier values that none of the models supports."""
+    from roboxim_core.models.library import ModelLibrary
+    from roboxim_core.models.modifiers import PHYSICAL
+
+    library = ModelLibrary()
+    role, _, models = item.rpartition("=")
+    names = [name.strip() for name in models.split(",")]
+    for name in names:
+        if name not in library.object_ids:
+            raise ConfigError(f"--object {item}: unknown object '{name}'; {one_of(library.object_ids, name)}")
+    config = data.setdefault("objects", {}).setdefault(role or "target", {}) or {}
+    config["models"] = {"values": names}
+    modifiers = {}
+    for kind, choice in config.get("modifiers", {}).items():
+        takers = [taken[kind] for taken in map(library.object_modifiers, names) if kind in taken]
+        kept = choice
+        if kind != "scale" and kind not in PHYSICAL:
+            kept = _only(choice, {word for taker in takers for word in taker.words(kind)})
+        if kind in PHYSICAL or (takers and kept):
+            modifiers[kind] = kept
+    config["modifiers"] = modifiers
+    data["objects"][role or "target"] = config
+
+
+def _only(choice: dict[str, Any], allowed: Collection[Any]) -> dict[str, Any]:
+    """Return the allowed values of a choice with their weights; empty when none is allowed."""
+    places = [i for i, value in enumerate(choice["values"]) if value in allowed]
+    lists = {key: [choice[key][i] for i in places] for key in ("values", "weights") if choice.get(key)}
+    return {**choice, **lists} if places else {}

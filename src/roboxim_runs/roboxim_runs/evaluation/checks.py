@@ -1,0 +1,119 @@
+"""Checks of an evaluation before a worker starts: policies suit the task, folders hold no results of another policy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roboxim_core.config import load_config, named_config
+from roboxim_core.errors import ConfigError, EvaluationError, one_of
+from roboxim_core.specs import SceneSpec
+from roboxim_runs.episodes.run import EpisodesJob
+from roboxim_runs.evaluation.results import PolicyResult
+from roboxim_runs.policies.specs import ChosenPolicy
+from roboxim_runs.storage.folder import RunFolder, require_bags
+
+if TYPE_CHECKING:
+    from roboxim_tasks.task_config import TaskConfig
+
+
+def cells_of(task_config: str) -> Sequence[TaskConfig]:
+    """Return the tasks of a configuration: the cells of a mix, or the task itself."""
+    from roboxim_tasks.config import TaskMix, parse_task_config
+
+    config = parse_task_config(task_config)
+    return config.cells if isinstance(config, TaskMix) else (config,)
+
+
+def _scene(cell: TaskConfig) -> SceneSpec:
+    return load_config(named_config("scenes", cell.scene), SceneSpec)
+
+
+def require_cameras(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) -> None:
+    """Refuse a policy that needs a camera which the task's scenes lack, where its cameras are known.
+
+    Raises:
+        ConfigError: Naming the policy and the camera.
+    """
+    for cell in cells:
+        reset = cell.reset.get("cameras")
+        have = list(reset.names) if reset else [camera.name for camera in _scene(cell).cameras]
+        for policy in chosen:
+            for camera in policy.cameras:
+                if camera not in have:
+                    raise ConfigError(
+                        f"policy '{policy.name}' needs camera '{camera}', which the task's scenes lack; "
+                        f"{one_of(have, camera)}"
+                    )
+
+
+def require_robots(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) -> None:
+    """Refuse a policy that was trained with a robot other than the task's.
+
+    Raises:
+        ConfigError: Naming the policy and both robots.
+    """
+    trained = {policy.name: policy.robot for policy in chosen if policy.robot}
+    if not trained:
+        return
+    robots = {_scene(cell).robot.model for cell in cells}
+    for name, robot in trained.items():
+        if robots != {robot}:
+            raise ConfigError(
+                f"policy '{name}' was trained with the robot '{robot}', the task has {' and '.join(sorted(robots))}; "
+                "choose a task with its robot, or allow this with --other-robot or other_robot=True"
+            )
+
+
+def require_played(policies: Iterable[PolicyResult]) -> None:
+    """Refuse to report policies that did not play all of their episodes: those that are missing are no failures.
+
+    Raises:
+        EvaluationError: Naming the policies, the first episode, and what happened to it.
+    """
+    for policy in policies:
+        lost = [result for result in policy.results if not result.played]
+        if lost:
+            raise EvaluationError(
+                f"policy '{policy.name}' did not play {len(lost)} of {len(policy.results)} episodes, so there is no "
+                f"rate: every process that ran one of them died, first at index {lost[0].index}: {lost[0].message}. "
+                "The same call or command repeats these episodes; a policy that ends its own process must be mended"
+            )
+
+
+def require_same_policy(name: str, job: EpisodesJob, folder: Path, *, repair: bool) -> None:
+    """Refuse a folder with results of another run, or of an earlier state of the policy.
+
+    Raises:
+        ConfigError: Naming what differs.
+        RecorderError: ``BAG_DAMAGED`` when bags of its results have vanished.
+    """
+    run = RunFolder(folder)
+    if not run.path.exists():
+        return
+    if not repair:
+        results = run.results()
+        if results and job.policy_files:
+            _require_same_files(name, job, run, len(results))
+    with run.opened(job.identity, repair=repair):
+        if not repair:
+            require_bags(run, job.done(run.results()).values())
+
+
+def _require_same_files(name: str, job: EpisodesJob, run: RunFolder, episodes: int) -> None:
+    stored = run.config()
+    files = stored.get("policy_files")
+    holds = f"{run.path} holds {episodes} episode{'s' * (episodes != 1)}"
+    todo = f"choose another output folder (--out or out=), or remove {run.path} to run it again"
+    if files is None:
+        raise ConfigError(
+            f"{holds} from an older version, which did not record a policy's files: they may come from another "
+            f"state of {', '.join(job.policy_files)}; {todo}"
+        )
+    if files != job.policy_files and stored.get("policies") == job.identity["policies"]:
+        now = job.policy_files
+        changes = [f"{file} has changed" for file in files if file in now and now[file] != files[file]]
+        changes += [f"{file} is new" for file in now if file not in files]
+        changes += [f"{file} is no longer part of it" for file in files if file not in now]
+        raise ConfigError(f"{holds} of an earlier state of policy '{name}': {', '.join(changes)}; {todo}")

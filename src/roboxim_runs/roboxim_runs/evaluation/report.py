@@ -1,0 +1,197 @@
+"""Record and report of an evaluation.
+
+The report is imported where it is needed: the import takes seconds.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roboxim_core.config import from_plain, to_plain
+from roboxim_core.episode import EpisodeInfo, EpisodeResult
+from roboxim_core.plain_data.documents import read_json_object
+from roboxim_core.whole_files import write_whole
+from roboxim_runs.episodes.run import EpisodesJob
+from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
+from roboxim_runs.policies.specs import ChosenPolicy
+from roboxim_runs.storage.folder import RunFolder
+from roboxim_runs.storage.store import readable_run
+
+if TYPE_CHECKING:
+    from roboxim_eval.report import PolicyRun
+
+RECORD_FILE = "evaluation.json"
+"""File beside a report, by which `roboxim merge` writes it again."""
+REPORT_FILE = "report.html"
+"""The report's file."""
+SHOWN = 12
+"""Films of each policy in the report."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationRecord:
+    """What a report says about an evaluation and its episodes do not; stored as `RECORD_FILE` beside it."""
+
+    task: str
+    """Name of the task."""
+    seed: int
+    """Seed of the run."""
+    policies: tuple[str, ...]
+    """Names of the policies, the one under test first; each has a run in a subfolder of its name."""
+    facts: Mapping[str, str] = field(default_factory=dict)
+    """Options and files of the policies."""
+    command: str = ""
+    """Command that reproduces the evaluation."""
+    stopped: str = ""
+    """How the number of episodes was decided; empty: it was fixed beforehand."""
+    undecided: bool = False
+    """Whether planned looks at the results have not decided; then no policy is called better."""
+
+
+def report_of(out: Path, record: EvaluationRecord | None = None, *, page: bool = True) -> EvaluationResult:
+    """Write the report of the finished episodes in an evaluation's folder.
+
+    Args:
+        out: The evaluation's folder, with a run for each policy.
+        record: What the report says about the evaluation; none: as stored in the folder.
+        page: Whether to write its page, or only the record.
+
+    Raises:
+        ConfigError: When the folder has no record, or its files are damaged.
+        RecorderError: With code ``BAG_DAMAGED`` when a bag that the page shows is not whole.
+    """
+    if record is None:
+        stored = out / RECORD_FILE
+        record = from_plain(read_json_object(stored), EvaluationRecord, source=str(stored))
+    found = {
+        name: PolicyResult(name=name, results=tuple(RunFolder(out / name).results()), folder=out / name)
+        for name in record.policies
+    }
+    return write_evaluation(record, found, out, page=page)
+
+
+def policy_facts(chosen: Sequence[ChosenPolicy], jobs: Mapping[str, EpisodesJob]) -> dict[str, str]:
+    """Return each policy's options and files, for the report."""
+    facts = {}
+    for policy in chosen:
+        files = (f"{file} {digest[:16]}" for file, digest in jobs[policy.name].policy_files.items())
+        server = jobs[policy.name].server.get("server", {})
+        remote = [
+            f"version {policy.options.get('version')}", f"convention {server['convention']['name']}",
+            str(policy.options.get("url")),
+        ] if server else []  # fmt: skip
+        facts[f"policy {policy.name}"] = ", ".join([policy.spec, *remote, *files])
+    return facts
+
+
+def write_evaluation(
+    record: EvaluationRecord, found: Mapping[str, PolicyResult], out: Path, *, page: bool
+) -> EvaluationResult:  # fmt: skip
+    """Write the record of an evaluation and, if asked for, its page.
+
+    Args:
+        record: What the report says about the evaluation.
+        found: Policy to result, the policy under test first.
+        out: The evaluation's folder.
+        page: Whether to write the page.
+
+    Returns:
+        The evaluation's result.
+    """
+    from roboxim_eval.report import PolicyRun, verdict_line
+
+    write_whole(out / RECORD_FILE, json.dumps(to_plain(record), indent=2) + "\n")
+    infos = {name: info for name, result in found.items() if (info := _first_info(result)) is not None}
+    runs = [PolicyRun(policy=name, results=result.results) for name, result in found.items()]
+    return EvaluationResult(
+        policies=dict(found), report=_page(record, found, infos, out) if page else None,
+        comparison=verdict_line(runs, undecided=record.undecided),
+        privileged=tuple(n for n, info in infos.items() if info.actor_privileged),
+    )  # fmt: skip
+
+
+def _page(
+    record: EvaluationRecord, found: Mapping[str, PolicyResult], infos: Mapping[str, EpisodeInfo], out: Path
+) -> Path:  # fmt: skip
+    """Write the page and return its file."""
+    from roboxim_eval.report import Report, write_report
+
+    facts = {"task": record.task, "run seed": str(record.seed), "purpose": "eval"}
+    facts |= {"episodes": str(len(next(iter(found.values())).results)), **record.facts}
+    versions: dict[str, str] = {}
+    for name, result in found.items():
+        facts[f"timing of {name}"] = timing_line(result.results)
+        if name not in infos:
+            continue
+        info = infos[name]
+        facts |= {
+            "robot": info.scene.robot.model, "renderer": info.renderer,
+            "control rate": f"{info.semantics.rate_hz:g} Hz",
+        }  # fmt: skip
+        facts |= {f"camera {camera.name}": f"{camera.width} x {camera.height}" for camera in info.scene.cameras}
+        versions |= info.versions | {f"model {model}": digest for model, digest in info.models.items()}
+        if info.actor_version:
+            versions[f"policy {name}"] = info.actor_version
+        if info.actor_privileged:
+            facts[f"policy {name} is privileged"] = "it sees the task, scene and state"
+    report = Report(
+        title=f"Evaluation of {' and '.join(found)} on {record.task}",
+        runs=[_policy_run(result) for result in found.values()], facts=facts, versions=versions,
+        command=record.command, stopped=record.stopped, undecided=record.undecided,
+    )  # fmt: skip
+    return write_report(report, out)
+
+
+def _first_info(result: PolicyResult) -> EpisodeInfo | None:
+    """Return the episode information of a policy's first bag; none without a bag."""
+    from roboxim_recorder.bag import BagReader
+
+    first = next(iter(_with_bags(result)), None)
+    if first is None:
+        return None
+    with readable_run(result.folder, [first.bag]) as run:
+        return BagReader(run / first.bag).info
+
+
+def _with_bags(result: PolicyResult) -> list[EpisodeResult]:
+    """Return the episodes whose bags are in the folder or in its store; an unpacked run has none."""
+    recorded = [episode for episode in result.results if episode.bag]
+    gone = {episode.bag for episode in RunFolder(result.folder).without_bag(recorded)}
+    return [episode for episode in recorded if episode.bag not in gone]
+
+
+def _policy_run(result: PolicyResult) -> PolicyRun:
+    from roboxim_eval.report import PolicyRun
+    from roboxim_eval.report.films import chosen_films
+    from roboxim_runs.episodes.facts import episode_facts
+    from roboxim_runs.episodes.pictures import film
+
+    recorded = {episode.episode_id: episode for episode in _with_bags(result)}
+    shown = chosen_films([(name, episode.outcome == "success") for name, episode in recorded.items()], SHOWN)
+    with readable_run(result.folder, [episode.bag for episode in recorded.values()]) as run:
+        facts = episode_facts(result.folder, result.results, bags=run)
+        films = {name: frames for name in shown if (frames := film(run / recorded[name].bag))}
+    return PolicyRun(
+        policy=result.name, results=result.results, folder=result.folder.name, films=films,
+        drawn={name: one.drawn for name, one in facts.items()},
+        starts={name: one.start for name, one in facts.items() if one.start is not None},
+    )  # fmt: skip
+
+
+def timing_line(results: Sequence[EpisodeResult]) -> str:
+    """Return when a policy's answers arrived, in words."""
+    acting = [result for result in results if result.steps]
+    if not acting:
+        return "no episode was acted"
+    line, held = acting[0].timing, sum(result.held for result in acting)
+    if line == "lockstep":
+        return line
+    delay = sum(result.delay_ticks for result in acting) / len(acting)
+    return (
+        f"{line}: answers arrive {delay:.1f} ticks after their observation on average; the robot held still without an "
+        f"answer at {held} of {sum(result.steps for result in acting)} ticks"
+    )

@@ -1,0 +1,37 @@
+"""Executors: run jobs that are plain data, anywhere, with the same results.
+
+`protocol` defines jobs, workers and executors; `local` runs jobs on processes of this machine, `inline` in
+the calling process. A run of any kind (episodes, rendering, a benchmark) hands its jobs to one of them.
+"""
+
+from roboxim_runs.executors.inline import InlineExecutor
+from roboxim_runs.executors.kept import KeptProcesses
+from roboxim_runs.executors.local import LocalExecutor
+from roboxim_runs.executors.protocol import (
+    Cancellation,
+    CancelledError,
+    Done,
+    Executor,
+    Job,
+    Lost,
+    Note,
+    Work,
+    Worker,
+    WorkerBrokenError,
+)
+
+__all__ = [
+    "Cancellation",
+    "CancelledError",
+    "Done",
+    "Executor",
+    "InlineExecutor",
+    "Job",
+    "KeptProcesses",
+    "LocalExecutor",
+    "Lost",
+    "Note",
+    "Work",
+    "Worker",
+    "WorkerBrokenError",
+]

@@ -1,0 +1,293 @@
+"""Runs jobs on the nodes of a Ray cluster. Ray is imported when a run begins, and only then.
+
+Non-obvious:
+- Ray decides where a worker runs and says when a node is lost. Jobs, retries and results are RoboXim's own
+  (`roboxim_runs.executors.pool`), so that a run is the same on every executor.
+- A worker on a node that is cut off may live on for seconds beside the one that repeats its job. So workers of a
+  cluster never write where finished episodes are; see ``staged``.
+- When the cluster's head is lost for long, Ray ends the process that runs the jobs. The same command continues.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from types import TracebackType
+from typing import Any
+
+from roboxim_core.errors import ConfigError, UnavailableError, raise_for_code
+from roboxim_runs.executors.pool import ClosingError, Pool, WorkerDiedError
+from roboxim_runs.executors.protocol import Cancellation, Done, Job, Lost, Note, Prepare, Work, unchanged
+from roboxim_runs.executors.worker_process import READY_S, STALL_S
+
+POLL_S = 1.0
+"""Longest time between two questions to an actor [s]; progress is as old."""
+PLACED_S = 600.0
+"""Longest wait for a node with free resources [s]."""
+GONE_S = 60.0
+"""An actor that does not answer for so long counts as lost [s]."""
+CONNECT_S = 20.0
+"""Longest wait for a connection to the cluster's head [s]."""
+OWN_CLUSTER = {"agent_register_timeout_ms": 120_000, "worker_niceness": 0}
+"""Settings of clusters on this machine. With Ray's defaults, a busy machine's nodes end when their agents do not start
+within 15 s, and workers run at niceness 15, so that any other program delays them."""
+MISSING = (
+    "the executor 'ray' needs Ray, which is not installed; install it on all machines with: pip install 'roboxim[ray]'"
+)
+
+
+class RayExecutor:
+    """Runs jobs on a Ray cluster, one worker per actor."""
+
+    staged = True
+    """Workers may outlive their loss, so each writes into a folder of its own, from which the run takes its results."""
+
+    def __init__(
+        self,
+        workers: int = 1,
+        *,
+        address: str = "",
+        resources: Mapping[str, float] | None = None,
+        stall_s: float = STALL_S,
+        option: str = "--resources",
+    ) -> None:
+        """Make the executor. `run` connects to the cluster and starts the workers.
+
+        Args:
+            workers: Largest number of workers in the cluster, >= 1; never more than jobs.
+            address: Address of the cluster, e.g. ``auto`` or ``ray://host:10001``; empty: a cluster on this machine,
+                for this run.
+            resources: What a worker takes of a node: ``CPU``, ``GPU``, or names of the cluster; none: one CPU.
+            stall_s: A worker that is silent for this time counts as dead [s].
+            option: Name of the option that sets the resources, for errors.
+
+        Raises:
+            ConfigError: When Ray is not installed.
+        """
+        _import_ray()
+        self._connection = contextlib.ExitStack()
+        self.workers, self.address, self.stall_s = workers, address, stall_s
+        self.resources = dict(resources or {"CPU": 1.0})
+        self._option = option
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether workers may run on other machines."""
+        return bool(self.address)
+
+    def __enter__(self) -> RayExecutor:
+        """Stay connected until the block ends, so that several runs share one connection, or one cluster of their own.
+
+        Raises:
+            UnavailableError: When there is no cluster at the address.
+        """
+        self._connection.enter_context(_connected(self.address, self.workers))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Disconnect."""
+        self._connection.close()
+
+    def run(
+        self,
+        work: Work,
+        jobs: Sequence[Job],
+        *,
+        on_note: Callable[[Note], None] = lambda _: None,
+        before_retry: Callable[[str], None] = lambda _: None,
+        cancellation: Cancellation | None = None,
+        prepare: Prepare = unchanged,
+    ) -> Iterator[Done | Lost]:
+        """Run jobs; see `Executor.run`.
+
+        Raises:
+            ConfigError: When a node has other software than this machine.
+            UnavailableError: When there is no cluster at the address, no node has the resources, or a worker cannot
+                start, with the end of its log.
+        """
+        crew = _Crew()
+        with _connected(self.address, self.workers) as ray:
+            pool = Pool(
+                lambda number, closing: _RayPlace(
+                    ray, prepare(work, number, closing), number, self.resources, self.stall_s, closing, crew,
+                    self._option,
+                ),
+                jobs, self.workers, before_retry,
+            )  # fmt: skip
+            yield from pool.run(on_note, cancellation)
+
+
+def _import_ray() -> Any:
+    try:
+        import ray
+    except ImportError:
+        raise ConfigError(MISSING) from None
+    return ray
+
+
+@contextlib.contextmanager
+def _connected(address: str, workers: int) -> Iterator[Any]:
+    """Connect to the cluster, unless the program is connected already; yields the module ``ray``."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    ray = _import_ray()
+    if ray.is_initialized():
+        yield ray
+        return
+    try:
+        _require_listening(address)
+        own = {} if address else _own_cluster(workers)
+        ray.init(address=address or "local", log_to_driver=False, logging_level=logging.ERROR, **own)
+    except (ConnectionError, OSError, RuntimeError, ValueError) as error:
+        raise UnavailableError(
+            f"no connection to the Ray cluster at '{address or 'this machine'}': {error}; start one with 'ray start "
+            "--head', and name its address with --address"
+        ) from None
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+def _require_listening(address: str) -> None:
+    """Refuse an address at which nobody listens at once; Ray itself tries for minutes.
+
+    Raises:
+        OSError: When there is no connection.
+    """
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if host and port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_S).close()
+
+
+def _own_cluster(workers: int) -> dict[str, Any]:
+    """Return the arguments of a cluster on this machine for one run."""
+    return {
+        "num_cpus": max(workers, os.cpu_count() or 1), "include_dashboard": False,
+        "_system_config": OWN_CLUSTER,
+    }  # fmt: skip
+
+
+class _Crew:
+    """The workers of a run that have a node. While there are some, further ones may wait for a node."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._placed = 0
+
+    def change(self, by: int) -> None:
+        with self._lock:
+            self._placed += by
+
+    def __bool__(self) -> bool:
+        return self._placed > 0
+
+
+class _RayPlace:
+    """A worker behind an actor; a `roboxim_runs.executors.pool.Place`."""
+
+    def __init__(
+        self, ray: Any, work: Work, number: int, resources: Mapping[str, float], stall_s: float,
+        closing: threading.Event, crew: _Crew, option: str,
+    ) -> None:  # fmt: skip
+        self.log = "not started"
+        self._ray, self._work, self._number, self._stall_s, self._closing = ray, work, number, stall_s, closing
+        self._resources, self._crew, self._option = dict(resources), crew, option
+        self._actor: Any = None
+        self._placed = self._lost = self._killed = False
+
+    def start(self) -> None:
+        from roboxim_runs.executors.ray_worker import RayWorker, software
+
+        more = {name: value for name, value in self._resources.items() if name not in ("CPU", "GPU")}
+        remote = self._ray.remote(RayWorker).options(
+            num_cpus=self._resources.get("CPU", 0.0), num_gpus=self._resources.get("GPU", 0.0), resources=more,
+            max_restarts=0, max_concurrency=4,
+        )  # fmt: skip
+        self._actor = remote.remote(asdict(self._work), self._number, self._stall_s, os.getcwd())
+        facts = self._answer(self._actor.facts.remote(), PLACED_S, waiting_for="a node with free resources")
+        self._placed = True
+        self._crew.change(1)
+        ours = software()
+        if facts["software"] != ours:
+            changes = [f"{n}: {v} there, {ours[n]} here" for n, v in facts["software"].items() if v != ours[n]]
+            raise ConfigError(
+                f"the node {facts['host']} has other software, so its episodes may differ: {'; '.join(changes)}; "
+                "install the same on all machines"
+            )
+        self._host = facts["host"]
+        self.log = f"on {self._host}"
+        deadline = time.monotonic() + READY_S
+        while not (found := self._poll()):
+            if time.monotonic() > deadline:
+                raise UnavailableError(f"a worker on {self._host} is not ready after {READY_S:g} s")
+        kind, content = found[0]
+        if kind != "ready":
+            self._raise_for(kind, content)
+        self.log = f"{content} on {self._host}"
+
+    def run(self, job: Any, on_note: Callable[[Any], None]) -> Any:
+        self._answer(self._actor.begin.remote([job]), GONE_S)
+        while True:
+            for kind, content in self._poll():
+                if kind == "done":
+                    return content
+                if kind == "note":
+                    on_note(content)
+                else:
+                    self._raise_for(kind, content)
+
+    def end(self) -> bool:
+        actor, self._actor = self._actor, None
+        placed, self._placed = self._placed, False
+        self._crew.change(-int(placed))
+        if actor is not None and not self._lost:
+            with contextlib.suppress(Exception):
+                if placed:
+                    self._ray.wait([actor.close.remote()], timeout=GONE_S)
+            with contextlib.suppress(Exception):
+                self._ray.kill(actor)
+        return self._lost or self._killed
+
+    def _poll(self) -> list[tuple[str, Any]]:
+        found: list[tuple[str, Any]] = self._answer(self._actor.poll.remote(POLL_S), GONE_S)
+        return found
+
+    def _answer(self, reference: Any, within_s: float, *, waiting_for: str = "") -> Any:
+        """Return an actor's answer; raise when the actor or its node is lost, or the run is over."""
+        deadline = time.monotonic() + within_s
+        try:
+            while not self._ray.wait([reference], timeout=0.2)[0]:
+                if self._closing.is_set():
+                    raise ClosingError
+                if waiting_for and self._crew:
+                    deadline = time.monotonic() + within_s
+                if time.monotonic() > deadline:
+                    if waiting_for:
+                        raise UnavailableError(
+                            f"no {waiting_for} ({self._resources}) for {within_s:g} s; the cluster has "
+                            f"{self._ray.cluster_resources()}; ask for less with {self._option}, or add nodes"
+                        )
+                    self._lost = True
+                    raise WorkerDiedError(f"its node did not answer for {within_s:g} s")
+            return self._ray.get(reference)
+        except self._ray.exceptions.RayActorError as error:
+            self._lost = True
+            raise WorkerDiedError(f"its node or its actor was lost: {str(error).strip().splitlines()[0]}") from None
+        except self._ray.exceptions.RayError as error:
+            self._lost = True
+            raise WorkerDiedError(f"Ray: {str(error).strip().splitlines()[-1]}") from None
+
+    def _raise_for(self, kind: str, content: Any) -> None:
+        if kind == "failed":
+            raise_for_code(*content)
+        message, self._killed = content
+        raise WorkerDiedError(message)

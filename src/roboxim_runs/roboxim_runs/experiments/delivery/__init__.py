@@ -1,0 +1,1 @@
+"""Proofs that an experiment was delivered: demands of cells, read from bags, a bag per job."""

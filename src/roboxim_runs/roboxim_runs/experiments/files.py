@@ -1,0 +1,238 @@
+"""Files of ``config/experiments``, ``config/trainers`` and ``config/benchmark``, checked before anything runs.
+
+The rooms check their own parts: `roboxim_eval` the experiment, `roboxim_tasks` the task mixes that it expands to.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from roboxim_core.config import load_yaml, located, named_config, to_plain
+from roboxim_core.config_folders import config_names, is_path
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.plain_data.merging import merged
+from roboxim_eval.benchmark import BenchmarkConfig, benchmark_config, experiment_changes
+from roboxim_eval.experiments import Design, ExperimentConfig, design_of, experiment_config, mix_of
+from roboxim_eval.experiments.config import FULL
+from roboxim_eval.experiments.design import require_different
+from roboxim_eval.experiments.proving.telling import PARTS, differing, undistinguished
+from roboxim_eval.experiments.reductions import reductions
+from roboxim_eval.experiments.trainers import TRAINERS, TrainerConfig, trainer_config
+from roboxim_runs.experiments.delivery.demands import demands_in
+from roboxim_runs.experiments.trained.exports import require_readable
+from roboxim_tasks.config import task_mix
+
+
+def load_experiment(
+    name: str, scale: str = "full", *, changes: Mapping[str, Any] | None = None, trainer: str = ""
+) -> ExperimentConfig:
+    """Load ``config/experiments/<name>.yaml``, or a path to a YAML file, at a scale.
+
+    The last of its deviations says what the scale changes.
+
+    Args:
+        name: Name, or path.
+        scale: One of the file's scales, or ``full``.
+        changes: Keys of the file to replace; none: the file as it stands.
+        trainer: Trainer that will be chosen. One that the file lacks is added: a name in ``config/trainers``, or a
+            path to a YAML file.
+
+    Raises:
+        ConfigError: When a file is missing or invalid, the scale is unknown, or the trainer cannot read a dataset.
+    """
+    path = named_config("experiments", name)
+    data = located(load_yaml(path), str(path))
+    further = [Path(trainer).stem] if is_path(trainer) else []
+    whole, config = (
+        with_trainer(experiment_config(read, source=str(path), scale=chosen, trainers=further), trainer)
+        for read, chosen in ((data, FULL), (merged(data, changes or {}), scale))
+    )
+    chosen = trainer_name(config, trainer) or next(iter(config.trainers), "")
+    require_readable(config, config.trainers.get(chosen, TrainerConfig()))
+    return _stating_reductions(config, whole, _scale_words(scale), trainer)
+
+
+def fitted_experiment(name: str, scale: str, config: ExperimentConfig, trainer: str = "") -> ExperimentConfig:
+    """Return an experiment whose numbers a budget has chosen, with deviations that state these numbers.
+
+    Args:
+        name: Its name or path, see `load_experiment`.
+        scale: The scale before the budget chose.
+        config: The experiment with the chosen numbers.
+        trainer: See `load_experiment`.
+    """
+    before = _scale_words(scale)
+    config = replace(config, deviations=tuple(one for one in config.deviations if not one.startswith(before)))
+    whole = load_experiment(name, trainer=trainer)
+    return _stating_reductions(config, whole, f"Scale {scale} in a budget: ", trainer)
+
+
+def _scale_words(scale: str) -> str:
+    return f"Scale {scale}: "
+
+
+def _stating_reductions(
+    config: ExperimentConfig, whole: ExperimentConfig, words: str, trainer: str
+) -> ExperimentConfig:  # fmt: skip
+    """Return an experiment with one more deviation, which says where it differs from the whole one."""
+    reduced = reductions(whole, config, trainer_name(config, trainer))
+    return replace(config, deviations=(*config.deviations, f"{words}{reduced}.")) if reduced else config
+
+
+def with_trainer(config: ExperimentConfig, name: str) -> ExperimentConfig:
+    """Return an experiment that has a trainer, added from a file of its own if the experiment lacks it.
+
+    A trainer's file that does not say how many steps it trains takes those of the experiment's first trainer: the
+    experiment knows how long its trainings are, at each scale.
+
+    Args:
+        config: The experiment at its scale.
+        name: Name of one of its trainers or of a file in ``config/trainers``, or a path to a YAML file; empty: no
+            trainer is added.
+
+    Raises:
+        ConfigError: When there is no such trainer, or its file is invalid.
+    """
+    if not name or name in config.trainers or not config.datasets:
+        return config
+    key = trainer_name(config, name)
+    if key in config.trainers:
+        raise ConfigError(f"{name}: the experiment has another trainer '{key}'; give the file another name")
+    if key == name and name not in config_names(TRAINERS):
+        known = [*config.trainers, *config_names(TRAINERS)]
+        raise ConfigError(
+            f"no trainer '{name}' in the experiment or in config/{TRAINERS}; {one_of(known, name)}, or name a YAML file"
+        )
+    path = named_config(TRAINERS, name)
+    trainer = trainer_config(load_yaml(path), source=str(path))
+    if not trainer.steps and config.trainers:
+        trainer = replace(trainer, steps=next(iter(config.trainers.values())).steps)
+    return replace(config, trainers={**config.trainers, key: trainer})
+
+
+def trainer_name(config: ExperimentConfig, trainer: str) -> str:
+    """Return the name that an experiment, its designs and its cards know a trainer by: of a file, that of the file.
+
+    Args:
+        config: The experiment.
+        trainer: Name, or path to a YAML file; empty: the experiment's first one.
+    """
+    return Path(trainer).stem if is_path(trainer) and trainer not in config.trainers else trainer
+
+
+def write_experiment(config: ExperimentConfig, path: Path) -> None:
+    """Write an experiment at its scale as a file that `load_experiment` reads; the file has no other scales.
+
+    Args:
+        config: The experiment, e.g. with numbers that a budget chose.
+        path: The YAML file.
+
+    Raises:
+        ConfigError: When the file exists.
+    """
+    if path.exists():
+        raise ConfigError(f"{path} exists; choose another file")
+    content = json.loads(json.dumps({**to_plain(config), "scales": {}}))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def load_benchmark(name: str) -> BenchmarkConfig:
+    """Load ``config/benchmark/<name>.yaml``, or a path to a YAML file.
+
+    Raises:
+        ConfigError: When the file is missing or invalid.
+    """
+    path = named_config("benchmark", name)
+    return benchmark_config(located(load_yaml(path), str(path)), source=str(path))
+
+
+def benchmark_experiments(config: BenchmarkConfig, scale: str, trainer: str = "") -> dict[str, ExperimentConfig]:
+    """Return the experiments of a benchmark at a scale.
+
+    Args:
+        config: The benchmark.
+        scale: One of its scales.
+        trainer: Trainer that will be chosen, see `load_experiment`.
+
+    Raises:
+        ConfigError: When a file is missing or invalid, or has no such scale.
+    """
+    changes = experiment_changes(config, scale)
+    return {name: load_experiment(name, scale, changes=changes, trainer=trainer) for name in config.experiments}
+
+
+def checked_design(name: str, config: ExperimentConfig, trainer: str = "") -> Design:
+    """Expand an experiment and check every task mix that it consists of.
+
+    Args:
+        name: Name of the experiment, for messages.
+        config: The experiment at its scale.
+        trainer: One of its trainers as it was given to `load_experiment`; empty: the first one.
+
+    Raises:
+        ConfigError: When the experiment or one of its task mixes is invalid, no proof could tell a held-out cell from a
+            cell of a dataset, or two conditions would be trained alike.
+    """
+    design = design_of(config, trainer_name(config, trainer))
+    require_different(design)
+    once = {cell.key: 1 for cell in design.cells}
+    changes = [condition.set for condition in config.conditions.values()]
+    for number, change in enumerate(changes):
+        if change not in changes[:number]:  # all mixes consist of these cells, with other counts
+            task_mix(mix_of(config, once, change), source=f"experiment '{name}'")
+    _require_told_apart(name, design)
+    return design
+
+
+def _require_told_apart(name: str, design: Design) -> None:
+    """Refuse an experiment whose demonstrations would be taken for those of a held-out cell.
+
+    Raises:
+        ConfigError: Naming the first two cells, and what tells cells apart.
+    """
+    unseen = [cell.key for cell in design.cells if cell.unseen]
+    held_out = {data: [cell for cell in unseen if cell not in counts] for data, counts in design.datasets.items()}
+    if not any(held_out.values()):
+        return
+    mix = task_mix(mix_of(design.config, {cell.key: 1 for cell in design.cells}), source=f"experiment '{name}'")
+    demands = demands_in(mix)
+    for data, cells in held_out.items():
+        for cell, other in undistinguished(demands, cells, design.datasets[data]):
+            parts = " and ".join(differing(demands[cell], demands[other]))
+            shared = f"differ in {parts}, but may share values there" if parts else "differ in nothing that bags show"
+            raise ConfigError(
+                f"experiment '{name}': the held-out cell '{cell}' and the cell '{other}' of dataset '{data}' {shared}, "
+                "so the proof of the training data would take demonstrations of the one for the other; expected values "
+                f"that exclude each other in at least one of {', '.join(PARTS)}. Give both cells such values in "
+                "factors, or hold both of them out or none in unseen"
+            )
+
+
+def mixes(design: Design) -> dict[str, Any]:
+    """Return the task mixes of an experiment by name, as plain data: of the demonstrations and of each condition."""
+    config = design.config
+    found = {"demonstrations": mix_of(config, design.demonstrations)} if design.demonstrations else {}
+    for evaluation in design.evaluations:
+        if not evaluation.checkpoint and not evaluation.replicate:
+            changes = config.conditions[evaluation.condition].set
+            found[f"evaluate_{evaluation.condition}"] = mix_of(config, evaluation.counts, changes)
+    for name, counts in design.datasets.items():
+        found[f"dataset_{name}"] = mix_of(config, counts)
+    return found
+
+
+def write_mixes(design: Design, folder: Path) -> list[Path]:
+    """Write the task mixes of an experiment as YAML files that ``generate`` and ``evaluate`` accept by ``--task``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, mix in mixes(design).items():
+        paths.append(folder / f"{name}.yaml")
+        paths[-1].write_text(yaml.safe_dump(json.loads(json.dumps(mix)), sort_keys=False))
+    return paths

@@ -1,0 +1,75 @@
+"""Compares models: runs of an experiment, on the scenes that they shared where their results are there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from roboxim_core.errors import ConfigError
+from roboxim_eval.experiments.card import Card
+from roboxim_eval.experiments.models import Models, Wins, compare_models, compared_condition
+from roboxim_runs.experiments.card import CARD_FILE, results_of, stage_name
+from roboxim_runs.experiments.report import ExperimentFolder, folder_card, stored_card
+
+
+def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -> tuple[Models, dict[str, Card]]:
+    """Compare a condition of several runs.
+
+    Args:
+        folders: Folders of runs, or card files; a model is named by its folder, or by its file.
+        condition: Condition; empty: the first one of the primary comparison.
+        where: ``unseen``, ``seen`` or ``all``; empty: that of the primary comparison.
+
+    Returns:
+        The comparison, and name to card.
+
+    Raises:
+        ConfigError: When two have the same name, a card was changed, nothing is common, or rollouts were asked
+            different things.
+    """
+    cards: dict[str, Card] = {}
+    runs: dict[str, ExperimentFolder] = {}
+    for path in folders:
+        name = _name_of(path)
+        if name in cards:
+            raise ConfigError(f"two of the runs are named '{name}'; rename a folder or a card")
+        if path.is_file():
+            cards[name] = stored_card(path)
+            continue
+        runs[name] = ExperimentFolder.of(path)
+        cards[name] = folder_card(runs[name])
+    if cards and not condition:  # of the first run; another run's own may be another one
+        condition = compared_condition(next(iter(cards.values())).experiment.config)
+    scenes = {name: _wins(folder, condition) for name, folder in runs.items() if _same_seeds(cards, name, condition)}
+    return compare_models(cards, condition=condition, where=where, scenes=scenes), cards
+
+
+def _name_of(path: Path) -> str:
+    """Return the name of a model: that of its run's folder, also for a card in it, or that of another card's file."""
+    if path.is_file() and path.name != CARD_FILE:
+        return path.stem
+    return (path if path.is_dir() else path.parent).resolve().name
+
+
+def _wins(folder: ExperimentFolder, condition: str) -> list[Wins]:
+    config = folder.design.config
+    if condition not in config.conditions:
+        return []
+    results = results_of(folder.design, folder.path)
+    found: list[Wins] = []
+    for replicate in range(config.replicates.count):
+        rows = results[stage_name(condition, replicate)].items()
+        found.append({(cell, str(number)): result.outcome == "success" for (cell, number), result in rows})
+    return found
+
+
+def _same_seeds(cards: Mapping[str, Card], name: str, condition: str) -> bool:
+    """Return whether a run's final evaluations have the seeds of the first run's.
+
+    Then their scenes are the same: `compare_models` refuses runs whose rollouts were asked different things.
+    """
+
+    def seeds(card: Card) -> list[int]:
+        return [e.seed for e in card.evaluations if e.condition == condition and not e.checkpoint]
+
+    return seeds(cards[name]) == seeds(next(iter(cards.values())))

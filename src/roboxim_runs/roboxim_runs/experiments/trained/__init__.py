@@ -1,0 +1,1 @@
+"""What an experiment trains with and evaluates: exports, policies, servers of checkpoints."""

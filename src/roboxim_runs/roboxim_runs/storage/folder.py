@@ -1,0 +1,263 @@
+"""A run on disk: its configuration and finished indices. Ctrl-C and a crash lose at most the running episodes.
+
+``run.json`` holds the configuration, ``results.jsonl`` one finished result per line. The same run continues where it
+stopped; another run in the same folder is refused.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from roboxim_core.config import digest, from_plain, to_plain
+from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, RoboximError
+from roboxim_core.plain_data.differences import differences
+from roboxim_core.plain_data.documents import read_json_object
+from roboxim_core.user_folders import expanded
+from roboxim_core.whole_files import write_whole
+from roboxim_recorder.bag_writer import PARTIAL, PLACES
+from roboxim_runs.storage.results_log import REMEDY, LoggedResult, ResultsLog
+from roboxim_runs.storage.store import stored_bags
+
+if TYPE_CHECKING:
+    from roboxim_core.episode import EpisodeResult
+
+RUN_FILE = "run.json"
+RESULTS_FILE = "results.jsonl"
+MAY_DIFFER = ("episodes", "workers", "shard", "store", "server_probe")
+"""Keys of a run's configuration that may change when it continues: other episodes, other machines. The probe of a
+remote policy is compared by `roboxim_runs.policies.server_records`."""
+COMMANDS = {"demo": "generate", "eval": "evaluate"}
+"""Purpose of a run's episodes to the command that runs them."""
+LONGEST_NAME, LONGEST_PATH = 200, 3500
+"""Largest number of bytes of a folder's name and of its whole path. Below a file system's own limits, since bags lie
+deeper."""
+
+
+class RunFolder:
+    """The folder of one run."""
+
+    def __init__(self, path: Path | str) -> None:
+        """Store the folder's path; nothing is created yet.
+
+        Raises:
+            ConfigError: When the name is too long for a folder.
+        """
+        self.path = checked_path(path)
+        self.log = ResultsLog(self.path / RESULTS_FILE)
+        self._key = ""
+
+    @contextmanager
+    def opened(self, config: Mapping[str, Any], *, repair: bool = False) -> Iterator[RunFolder]:
+        """Create the folder or continue in it, and lock it while the block runs.
+
+        Args:
+            config: Everything that results depend on, as plain data; compared with the stored configuration once there
+                are results.
+            repair: Drop results that are unreadable, or not certainly of this configuration.
+
+        Raises:
+            ConfigError: When the folder holds another run or other files, is in use, or has a damaged file.
+            RoboximError: ``DISK`` when it cannot be made.
+        """
+        stored_at = self.path / RUN_FILE
+        make_folder(self.path)
+        if not stored_at.exists() and any(not p.name.startswith(".") for p in self.path.iterdir()):
+            raise ConfigError(
+                f"{self.path} exists and is not a run's folder; empty it or choose another output "
+                "folder (--out or out=)"
+            )
+        with open(self.path / ".lock", "w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise ConfigError(f"another command is running in {self.path}; wait for it or stop it") from None
+            self._key = run_key(config)
+            if stored_at.exists() and self.log.path.exists():
+                self._require_same(config, repair)
+            write_whole(stored_at, json.dumps(dict(config), indent=2, sort_keys=True) + "\n")
+            yield self
+
+    def _require_same(self, config: Mapping[str, Any], repair: bool) -> None:
+        """Refuse results of another configuration, and results whose configuration is unknown."""
+        try:
+            stored = self.config()
+        except ConfigError:
+            if not repair:
+                raise
+            self.log.repair(lambda entry: entry.key == self._key and bool(self._parsed(entry)))
+            return
+        self._require_same_configuration(stored, config)
+        if repair:
+            self.log.repair(lambda entry: entry.key in ("", self._key) and bool(self._parsed(entry)))
+        for entry in self.log.read():
+            if entry.key not in ("", self._key):
+                raise ConfigError(f"{self.log.path} line {entry.line} is a result of another run; {REMEDY}")
+
+    def _require_same_configuration(self, stored: Mapping[str, Any], config: Mapping[str, Any]) -> None:
+        there, asked = command_of(stored), command_of(config)
+        if there != asked:
+            raise ConfigError(
+                f"{self.path} holds a run of 'roboxim {there}'; choose another output folder (--out or out=)"
+            )
+        details = differences(stored, json.loads(json.dumps(dict(config))), ignore=MAY_DIFFER)
+        if not details:
+            return
+        results = self.results()
+        if asked == "generate" and not any(result.outcome == "success" for result in results):
+            todo = (
+                f"none of its {len(results)} episodes succeeded: remove it (rm -r {self.path}) or choose another "
+                "output folder (--out or out=)"
+            )
+        else:
+            todo = "choose another output folder (--out or out=), or the same configuration to continue the run"
+        raise ConfigError(f"{self.path} holds a run with another configuration ({details}); {todo}")
+
+    @property
+    def in_use(self) -> bool:
+        """Whether a command is running in the folder."""
+        try:
+            with open(self.path / ".lock") as lock:
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:  # no lock, or not ours to read
+            return False
+        return False
+
+    def config(self) -> dict[str, Any]:
+        """Return the stored configuration.
+
+        Raises:
+            ConfigError: When the folder is not a run's, or the file is damaged.
+        """
+        file = self.path / RUN_FILE
+        try:
+            with open(file, "rb"):
+                pass
+        except OSError as error:
+            raise ConfigError(
+                f"{self.path} is not a run's folder (no readable {RUN_FILE}): {error.strerror or error}"
+            ) from None
+        try:
+            return read_json_object(file)
+        except ConfigError as error:
+            raise ConfigError(
+                f"{file} is damaged ({error}), so the configuration of its results is unknown; restore the file, run "
+                "again with --repair or repair=True, which keeps the results that name this configuration, or choose "
+                "another output folder (--out or out=)"
+            ) from None
+
+    def results(self) -> list[EpisodeResult]:
+        """Return the finished results in the order of their indices. A torn last line, left by a crash, is skipped.
+
+        So are episodes that their policy did not play (`EpisodeResult.played`); the same run repeats them.
+
+        Raises:
+            ConfigError: When any other line is not a result; the message names the line.
+        """
+        found = {}
+        for entry in self.log.read():
+            result = self._parsed(entry)
+            found[result.index, result.episode] = result
+        return [found[place] for place in sorted(found) if found[place].played]
+
+    def _parsed(self, entry: LoggedResult) -> EpisodeResult:
+        try:
+            from roboxim_core.episode import EpisodeResult
+
+            return from_plain(entry.data, EpisodeResult, source=f"{self.log.path} line {entry.line}")
+        except ConfigError as error:
+            raise ConfigError(f"{error}; {REMEDY}") from None
+
+    def without_bag(self, results: Iterable[EpisodeResult]) -> list[EpisodeResult]:
+        """Return the results whose bag has vanished; one in a store has not."""
+        stored = stored_bags(self.path)
+        return [
+            result
+            for result in results
+            if result.bag and result.bag not in stored and not (self.path / result.bag).exists()
+        ]
+
+    def discard(self, indices: Iterable[int]) -> None:
+        """Remove all bags of indices without a result; a crash left them."""
+        wanted = {f"{index:05d}" for index in indices}
+        for place in (*PLACES.values(), PARTIAL):
+            for bag in (self.path / place).glob("*-*-*"):  # one listing, since a run may have very many bags
+                if not wanted.isdisjoint(bag.name.split("-")[1:-1]):
+                    shutil.rmtree(bag)
+
+    def discard_episode(self, episode_id: str) -> None:
+        """Remove all bags of an episode without a result; a crash left them."""
+        for place in (*PLACES.values(), PARTIAL):
+            shutil.rmtree(self.path / place / episode_id, ignore_errors=True)
+
+    def append(self, result: EpisodeResult) -> None:
+        """Append a finished result. It is on the disk when this returns."""
+        self.log.append(self._key, to_plain(result))
+
+
+def run_key(config: Mapping[str, Any]) -> str:
+    """Return the hash of everything that a run's results depend on, 16 hexadecimal digits."""
+    return digest({name: value for name, value in config.items() if name not in MAY_DIFFER})
+
+
+def require_bags(folder: RunFolder, results: Iterable[EpisodeResult]) -> None:
+    """Refuse to continue a run whose bags have vanished.
+
+    Raises:
+        RecorderError: ``BAG_DAMAGED``, naming them and what to do.
+    """
+    lost = folder.without_bag(results)
+    if lost:
+        names = ", ".join(result.bag for result in lost[:3]) + (f" and {len(lost) - 3} more" if len(lost) > 3 else "")
+        raise RecorderError(
+            f"{len(lost)} bag{'s' * (len(lost) != 1)} that {folder.log.path} names {'are' if len(lost) > 1 else 'is'} "
+            f"gone: {names}; put them back, or run again with --repair or repair=True, which repeats "
+            "these episodes",
+            ErrorCode.BAG_DAMAGED,
+        )
+
+
+def checked_path(path: Path | str) -> Path:
+    """Return an output path as an absolute path.
+
+    Raises:
+        ConfigError: When a name in it or the whole path is too long.
+    """
+    absolute = Path(os.path.abspath(expanded(path)))
+    longest = max((len(os.fsencode(part)) for part in absolute.parts), default=0)
+    if longest > LONGEST_NAME or len(os.fsencode(absolute)) > LONGEST_PATH or "\0" in str(path):
+        raise ConfigError(
+            f"'{str(path)[:40]}...' is not a valid folder: a name has at most {LONGEST_NAME} bytes and a path "
+            f"{LONGEST_PATH}, this has {longest} and {len(os.fsencode(absolute))}; choose a shorter one"
+        )
+    return expanded(path).resolve()
+
+
+def make_folder(path: Path) -> None:
+    """Create an output folder unless it exists.
+
+    Raises:
+        ConfigError: When its name is too long.
+        RoboximError: ``DISK`` when a file is in its place or it cannot be made.
+    """
+    checked_path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = "it is a file" if path.is_file() else error.strerror or str(error)
+        raise RoboximError(
+            f"cannot create the folder {path}: {reason}; choose another output folder (--out or out=)", ErrorCode.DISK
+        ) from None
+
+
+def command_of(config: Mapping[str, Any]) -> str:
+    """Return the command that wrote a run's configuration."""
+    return "rerender" if "rerender" in config else COMMANDS.get(str(config.get("purpose")), "generate")

@@ -1,0 +1,176 @@
+"""What the runs in folders are doing: running, finished, stopped or failed, how far and how fast.
+
+Read from the folders alone, so it works for a run of any executor, a run on another machine that shares the file
+system, and a run whose machine is gone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from roboxim_core.episode.records import NOT_PLAYED
+from roboxim_core.errors import ConfigError
+from roboxim_core.shards import Shard
+from roboxim_runs.pace import Pace
+from roboxim_runs.storage.event_log import ENDED, EVENTS_FILE, STARTED
+from roboxim_runs.storage.folder import RESULTS_FILE, RUN_FILE, RunFolder, command_of
+
+DEEPEST = 4
+"""Levels below a folder at which runs are looked for."""
+QUIET_S = 900.0
+"""A run on another machine counts as dead after so long without an event [s]."""
+TAIL_BYTES = 1 << 18
+"""Only the end of a run's events is read."""
+UNPLAYED = tuple(f'"reason":"{reason}"'.encode() for reason in sorted(NOT_PLAYED))
+"""What the lines of episodes have that are no results."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunState:
+    """State of a run."""
+
+    folder: str
+    """Its folder."""
+    kind: str
+    """Command that made it."""
+    state: str
+    """``running``, ``finished``, ``stopped``, ``failed``, or ``lost``: it ended without a word."""
+    message: str
+    """Why it failed."""
+    done: int
+    """Episodes with a result."""
+    total: int
+    """Episodes that were asked for; of a shard, its own. 0: unknown."""
+    shard: str
+    """``I/N``; empty: the whole run."""
+    executor: str
+    """What runs its episodes: ``local``, ``inline``, ``ray``; empty: unknown."""
+    host: str
+    """Machine on which the command was last started."""
+    per_second: float | None
+    """Episodes a second of late; none while unknown, or when it is not running."""
+    left_s: float | None
+    """Estimated time left [s]."""
+    quiet_s: float | None
+    """Time since the last event [s]."""
+
+
+def find_runs(folders: Sequence[Path]) -> list[RunState]:
+    """Return the states of the runs in folders and below.
+
+    Raises:
+        ConfigError: When a folder does not exist or has no run.
+    """
+    found = []
+    for folder in folders:
+        runs = [run_state(path) for path in _run_folders(folder)]
+        if not runs:
+            raise ConfigError(f"{folder} has no run" if folder.is_dir() else f"no such folder: {folder}")
+        found += runs
+    return found
+
+
+def _run_folders(folder: Path) -> Iterator[Path]:
+    for depth in range(DEEPEST + 1):
+        yield from (file.parent for file in sorted(folder.glob("/".join(["[!.]*"] * depth + [RUN_FILE]))))
+
+
+def run_state(folder: Path, now_s: float | None = None) -> RunState:
+    """Return the state of one run.
+
+    Args:
+        folder: The run's folder.
+        now_s: Present time, seconds since 1970; none: the clock's.
+
+    Raises:
+        ConfigError: When its configuration is not readable.
+    """
+    now_s = time.time() if now_s is None else now_s
+    run = RunFolder(folder)
+    config = run.config()
+    done = _results_in(folder / RESULTS_FILE)
+    total = len(Shard.parse(config.get("shard", "")).indices(int(config.get("episodes", 0))))
+    events = list(_last_events(folder / EVENTS_FILE))
+    started: dict[str, Any] = next((event for event in reversed(events) if event["event"] == STARTED), {})
+    last = events[-1] if events else {}
+    quiet_s = now_s - _time(last) if last else None
+    state, message = _state(run, last, quiet_s, finished=0 < total <= done)
+    rate = None
+    if state == "running":
+        pace = Pace()
+        for event in events:
+            if event["event"] == STARTED:
+                pace = Pace()
+            elif event["event"] == "stage_progress":
+                pace.add(_time(event), int(event["done"]))
+        rate = pace.per_second(now_s)
+    return RunState(
+        folder=str(folder), kind=command_of(config), state=state, message=message, done=done, total=total,
+        shard=str(config.get("shard", "")), executor=str(started.get("executor", "")),
+        host=str(started.get("host", "")), per_second=rate,
+        left_s=max(0, total - done) / rate if rate and total else None, quiet_s=quiet_s,
+    )  # fmt: skip
+
+
+def _state(run: RunFolder, last: dict[str, Any], quiet_s: float | None, *, finished: bool) -> tuple[str, str]:
+    if run.in_use:
+        return "running", ""
+    if last.get("event") == ENDED:
+        return str(last["state"]), str(last.get("message", ""))
+    if finished:
+        return "finished", ""
+    alive_elsewhere = quiet_s is not None and quiet_s < QUIET_S and not _is_here(run.path)
+    return ("running" if alive_elsewhere else "lost" if quiet_s is not None else "stopped"), ""
+
+
+def _is_here(folder: Path) -> bool:
+    """Return whether the folder is on a disk of this machine, where the lock says all."""
+    kinds = {}
+    try:
+        for line in Path("/proc/mounts").read_text().splitlines():
+            _, place, kind, *_ = line.split()
+            kinds[place] = kind
+    except OSError:
+        return True
+    parents = [str(path) for path in (folder, *folder.parents)]
+    kind = next((kinds[path] for path in parents if path in kinds), "")
+    return not kind.startswith(("nfs", "cifs", "smb", "lustre", "beegfs", "ceph", "gpfs", "glusterfs", "fuse", "9p"))
+
+
+def _results_in(path: Path) -> int:
+    """Return the number of episodes with a result; counts lines, which is enough for a display."""
+    try:
+        with open(path, "rb") as file:
+            return sum(line.endswith(b"\n") and not any(reason in line for reason in UNPLAYED) for line in file)
+    except OSError:
+        return 0
+
+
+def _last_events(path: Path) -> Iterator[dict[str, Any]]:
+    """Yield the events at the end of a file; a torn line is left out."""
+    try:
+        with open(path, "rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            file.seek(max(0, size - TAIL_BYTES))
+            lines = file.read().split(b"\n")
+    except OSError:
+        return
+    for line in lines[1 if size > TAIL_BYTES else 0 :]:
+        try:
+            event = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(event, dict) and "event" in event and "time" in event:
+            yield event
+
+
+def _time(event: dict[str, Any]) -> float:
+    """Return when an event happened, seconds since 1970."""
+    return datetime.fromisoformat(event["time"]).timestamp()

@@ -1,0 +1,1 @@
+"""Trainings: in this process, or as commands side by side, here or on workers."""

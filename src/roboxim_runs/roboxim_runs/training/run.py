@@ -1,0 +1,166 @@
+"""Trains a policy on an exported dataset."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from roboxim_core.config import from_plain, load_yaml, to_plain
+from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.documents import read_json_object
+from roboxim_core.whole_files import write_whole
+from roboxim_datasets.dataset import EXPORT_FILE
+from roboxim_datasets.formats import open_dataset
+from roboxim_policies.bc.config import BCConfig
+from roboxim_runs.events import (
+    Notice,
+    OnEvent,
+    StageFinished,
+    StageProgress,
+    StageStarted,
+    ignore,
+    telling_interruption,
+)
+from roboxim_runs.executors import Cancellation, CancelledError
+from roboxim_runs.policies.specs import CHECKPOINT, PolicySpec
+from roboxim_runs.storage.folder import checked_path, make_folder
+
+TRAINED_ON = "trained_on.json"
+"""File in a training's folder that names the export which the trainer read: its identity and cells."""
+
+__all__ = ["TRAINED_ON", "BCConfig", "TrainingResult", "read_bc_config", "train_bc"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingResult:
+    """Result of a training."""
+
+    checkpoint: Path
+    """The checkpoint."""
+    steps: int
+    """Optimiser steps of the checkpoint, over all calls."""
+    steps_now: int
+    """Steps of this call; 0: it was trained already."""
+    wall_s: float
+    """Duration of this call [s]."""
+
+    @property
+    def policy(self) -> PolicySpec:
+        """Policy spec of the trained policy, for `evaluate`."""
+        return PolicySpec(spec="bc", options={CHECKPOINT: str(self.checkpoint)})
+
+
+def train_bc(
+    dataset: Path | str,
+    out: Path | str = "runs/bc",
+    config: BCConfig | None = None,
+    *,
+    limit: int = 0,
+    until: int = 0,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> TrainingResult:
+    """Train a small behaviour-cloning network on a dataset, on CPU.
+
+    Ctrl-C or a cancellation saves a checkpoint. The same call continues from it and ends with the same weights.
+
+    Args:
+        dataset: A dataset of any registered format.
+        out: Folder of the checkpoint.
+        config: Configuration of network and training; none: the defaults.
+        limit: Largest number of episodes to use; 0: all.
+        until: Step after which to end for now, with a checkpoint that the same call continues; 0: the last one.
+        on_event: Receives the run's events.
+        cancellation: Ends the training when it is set.
+
+    Raises:
+        CancelledError: When the training was cancelled.
+        ConfigError: When the folder is not a dataset, or ``out`` holds another training.
+    """
+    settings = config or BCConfig()
+    folder = checked_path(out)
+    checked_path(dataset)
+    if folder.is_file():
+        make_folder(folder)  # says so
+    from roboxim_policies.bc.data import read_demonstrations  # importing JAX takes a second
+    from roboxim_policies.bc.train import Trainer, TrainProgress
+
+    started = time.monotonic()
+
+    def reading(done: int, total: int) -> None:
+        _check(cancellation)
+        on_event(StageProgress(done=done, total=total))
+
+    def training(progress: TrainProgress) -> None:
+        note = f"loss {progress.loss:.3f}, {progress.steps_per_s:.1f} steps/s"
+        on_event(StageProgress(done=progress.step, total=settings.steps, note=note))
+        _check(cancellation)
+
+    on_event(StageStarted(title="reading demonstrations", total=1))
+    read = read_demonstrations(Path(dataset), image_sizes=settings.image_sizes, limit=limit, progress=reading)
+    data = read.assemble()
+    del read  # its images are copies
+    on_event(StageFinished())
+    make_folder(folder)
+    trainer = Trainer(data, settings, Path(out))
+    name_dataset(Path(dataset), folder)
+    before = trainer.step
+    if before < settings.steps:
+        if before:
+            on_event(Notice(text=f"continuing from step {before}"))
+        on_event(StageStarted(title="training", total=settings.steps, done=before, unit="steps"))
+        with telling_interruption(
+            on_event,
+            lambda: (
+                f"checkpoint after {trainer.step} of {settings.steps} steps: {trainer.path}; the same call or command "
+                "continues from it"
+            ),
+        ):
+            trainer.run(training, until=until)
+        on_event(StageFinished())
+    return TrainingResult(
+        checkpoint=trainer.path, steps=trainer.step, steps_now=trainer.step - before, wall_s=time.monotonic() - started
+    )
+
+
+def name_dataset(dataset: Path, training: Path) -> None:
+    """Write which export a training reads; experiments prove by it what a checkpoint was trained on.
+
+    Args:
+        dataset: The dataset.
+        training: Folder of the training.
+
+    Raises:
+        ConfigError: When the folder is not a dataset.
+    """
+    folder = open_dataset(dataset).folder
+    file = folder / EXPORT_FILE
+    facts = read_json_object(file) if file.is_file() else {}
+    named = {"identity": facts.get("identity", ""), "cells": facts.get("cells", {})}
+    write_whole(training / TRAINED_ON, json.dumps(named, indent=2) + "\n")
+
+
+def _check(cancellation: Cancellation | None) -> None:
+    if cancellation is not None and cancellation.is_set():
+        raise CancelledError("the training was cancelled")
+
+
+def read_bc_config(file: Path | None, changes: Mapping[str, Any] | None = None) -> BCConfig:
+    """Return a training's configuration.
+
+    Args:
+        file: YAML file with fields of `BCConfig`; none: the defaults.
+        changes: Fields that replace those of the file.
+
+    Raises:
+        ConfigError: When the file is missing or empty, or a field is unknown or wrong.
+    """
+    content = {} if file is None else load_yaml(file)
+    if content is None:
+        raise ConfigError(f"{file} is empty; expected fields such as 'steps: 500', or omit --config")
+    found = from_plain(content, BCConfig, source=str(file))
+    return from_plain({**to_plain(found), **changes}, BCConfig, source="--set") if changes else found

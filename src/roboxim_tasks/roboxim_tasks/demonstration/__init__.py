@@ -1,0 +1,1 @@
+"""The scripted expert: solver, reference trajectory, policy."""

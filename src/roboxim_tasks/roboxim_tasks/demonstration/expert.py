@@ -1,0 +1,180 @@
+"""The expert: a skill's executor behind the policy interface.
+
+A scene is planned once. At its first request the expert verifies the reset's solution of the drawn scene in the settled
+scene, and replans only if that fails. It then answers each request with the delta from the *commanded* pose to the
+reference's next pose, so that injected noise is corrected and never accumulates.
+
+The expert monitors its grasp:
+
+- If the grasp differs a little from the plan, or the lifted object sags, the expert replans the rest from the object's
+  true pose in the hand. This costs no tick.
+- If the hand is empty, the expert opens it, withdraws and tries again. It marks those actions as ``recovery``, so that
+  the episode counts as recovered and not as a first-try success.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from roboxim_core.actions import ANY_RATE, ActionSemantics
+from roboxim_core.errors import ErrorCode, PolicyError, TaskError
+from roboxim_core.kinematics import delta_between
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.policies import RECOVERY, ActionChunk, EpisodeStart, ObservationWindow, PolicyDescription
+from roboxim_core.poses import distance
+from roboxim_core.state import StateRecord
+from roboxim_tasks.demonstration.planning import PlannerPort
+from roboxim_tasks.demonstration.reference import SpeedConfig
+from roboxim_tasks.demonstration.solvable import Solvability
+from roboxim_tasks.demonstration.solver import Solution, Solver
+from roboxim_tasks.motion import ROBOT, ExpertScene, Stage
+from roboxim_tasks.skills import SKILLS
+
+MAX_RECOVERIES = 2
+HELD_TOLERANCE_M = 0.003
+HELD_TOLERANCE_RAD = 0.035
+SAG_TOLERANCE_M, SAG_TOLERANCE_RAD = 0.010, 0.06
+"""Largest shift [m] and rotation [rad] of a lifted object in the hand that need no replanning."""
+
+
+class Expert:
+    """A privileged policy that solves any registered skill. One episode at a time; not thread-safe.
+
+    Non-obvious: the motion is chosen in the first `act`, because only then is the settled state known.
+    """
+
+    def __init__(
+        self,
+        library: ModelLibrary,
+        planner: PlannerPort,
+        config: SpeedConfig | None = None,
+        *,
+        direct: bool = False,
+        solvability: Solvability | None = None,
+    ) -> None:
+        """Make an expert.
+
+        Args:
+            library: Robots and objects.
+            planner: Verifies and finds motions.
+            config: Speeds; none: the default.
+            direct: Whether to go straight from stage to stage without the planner; the baseline for scenes with a
+                blocked path.
+            solvability: Solver of drawn scenes, with the same speeds. Sharing the resets' solver avoids planning a
+                scene twice and does not change the expert's actions. None: a new one.
+        """
+        self._library = library
+        self._solver = Solver(library, planner, config, direct=direct)
+        self._solvability = solvability or Solvability(library, planner, config)
+        self._direct = direct
+        self._start: EpisodeStart | None = None
+        self._solution: Solution | None = None
+        self._first_seq = 0
+        self._recoveries = 0
+
+    def describe(self) -> PolicyDescription:
+        """Return the expert's description."""
+        return PolicyDescription(
+            name="direct_expert" if self._direct else "expert",
+            semantics=ActionSemantics(rate_hz=ANY_RATE),
+            privileged=True,
+            version="1",
+        )
+
+    def reset(self, start: EpisodeStart) -> None:
+        """Start an episode.
+
+        Raises:
+            TaskError: With code ``NO_EXPERT`` when the request lacks task or scene, or the skill is unknown.
+        """
+        if start.task is None or start.scene is None:
+            raise TaskError(
+                "the expert needs the task and the scene; send them as to a privileged policy", ErrorCode.NO_EXPERT
+            )
+        if start.task.skill not in SKILLS:
+            raise TaskError(
+                f"no expert for skill '{start.task.skill}'; expected one of: {', '.join(SKILLS)}", ErrorCode.NO_EXPERT
+            )
+        self._start, self._solution, self._recoveries = start, None, 0
+
+    def act(self, window: ObservationWindow) -> ActionChunk:
+        """Return the delta to the reference's next pose.
+
+        Raises:
+            TaskError: When no episode was started, or the observation has no state.
+            PolicyError: When no candidate motion passes verification.
+        """
+        state = window.newest.state
+        if self._start is None or self._start.episode_id != window.episode_id:
+            raise TaskError(f"the expert was not reset for episode '{window.episode_id}'", ErrorCode.UNKNOWN_EPISODE)
+        if state is None:
+            raise TaskError("the expert needs the state record in the observation; it is a privileged policy")
+        assert self._start.task is not None
+        assert self._start.scene is not None
+        view = ExpertScene(
+            task=self._start.task, scene=self._start.scene, state=state, library=self._library, direct=self._direct
+        )
+        if self._solution is None:
+            self._solution, self._first_seq = self._plan_first(view), state.seq
+        elif self._recoveries < MAX_RECOVERIES:
+            self._correct_grasp(view, self._solution)
+        reference = self._solution.reference
+        step = self._step(state)
+        point = reference[step]
+        return ActionChunk(
+            actions=delta_between(view.pose_tcp, point.pose, point.opening)[None],
+            done=step == len(reference) - 1,
+            phases=(RECOVERY if self._recoveries else point.phase,),
+        )
+
+    def _step(self, state: StateRecord) -> int:
+        assert self._solution is not None
+        return min(max(state.seq - self._first_seq, 0), len(self._solution.reference) - 1)
+
+    def _plan_first(self, view: ExpertScene) -> Solution:
+        """Return the drawn scene's solution if it is valid in the settled scene, else plan anew."""
+        assert self._start is not None
+        if self._direct:
+            return self._plan(view)
+        try:
+            drawn = self._solvability.solution(view.task, view.scene, self._start.seed)
+        except PolicyError:
+            return self._plan(view)
+        return self._plan(view) if self._solver.mismatch(view, drawn) else drawn
+
+    def _plan(self, view: ExpertScene) -> Solution:
+        assert self._start is not None
+        return self._solver.solve(view, SKILLS[view.task.skill].stages(view), self._start.seed)
+
+    def _correct_grasp(self, view: ExpertScene, solution: Solution) -> None:
+        """Replan if the gripper's contents differ from the plan."""
+        step = self._step(view.state)
+        now, before = (solution.stages[solution.reference[i].stage] for i in (step, max(step - 1, 0)))
+        if not now.held:
+            return
+        if not _touched(view.state, now.held):
+            self._recoveries += 1
+            view = replace(view, recovering=True)
+        elif before.lifts and not now.lifts:
+            if not _held_elsewhere(view, now, SAG_TOLERANCE_M, SAG_TOLERANCE_RAD):
+                return
+            view = replace(view, held=now.held, lifted=True)
+        elif before.held or not _held_elsewhere(view, now, HELD_TOLERANCE_M, HELD_TOLERANCE_RAD):
+            return
+        else:
+            view = replace(view, held=now.held)
+        try:
+            self._solution, self._first_seq = self._plan(view), view.state.seq
+        except PolicyError:
+            if view.recovering:
+                raise
+
+
+def _touched(state: StateRecord, entity: str) -> bool:
+    return any(contact.force_max > 0.0 for contact in state.contacts_between(ROBOT, entity))
+
+
+def _held_elsewhere(view: ExpertScene, stage: Stage, most_m: float, most_rad: float) -> bool:
+    measured = view.in_base(view.state.robot.pose_tcp_measured).inverse() @ view.pose_of(stage.held)
+    shift_m, angle_rad = distance(measured, stage.held_in_tcp)
+    return shift_m > most_m or angle_rad > most_rad

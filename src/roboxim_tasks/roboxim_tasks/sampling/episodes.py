@@ -1,0 +1,183 @@
+"""Draws episodes: a task from the generators, a scene from the reset components."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+from roboxim_core.config import to_json
+from roboxim_core.episode import Draw
+from roboxim_core.errors import ConfigError, ErrorCode, TaskError
+from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_tasks.components import COMPONENTS, ResetContext
+from roboxim_tasks.config import TaskMix
+from roboxim_tasks.demonstration.solvable import CONSTRAINT, Solvability
+from roboxim_tasks.files import named
+from roboxim_tasks.roles import Wording, description
+from roboxim_tasks.sampling.generators import GenerationContext
+from roboxim_tasks.sampling.rejection import RejectedError
+from roboxim_tasks.sampling.visible import Visibility
+from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.task_config import TaskConfig
+
+
+class EpisodeGenerator:
+    """Generator of tasks and scenes; deterministic in seed path and configuration. Not thread-safe (kinematics)."""
+
+    def __init__(
+        self, library: ModelLibrary, solvability: Solvability | None = None, visibility: Visibility | None = None
+    ) -> None:
+        """Make a generator. Omitting a check changes the scenes of a seed.
+
+        Args:
+            library: Robots and objects.
+            solvability: Check that scenes have a solution; none: no check.
+            visibility: Check that the fixed cameras see the objects that the instruction names; none: no check.
+        """
+        self._library = library
+        self._solvability = solvability
+        self._visibility = visibility
+        self._arms: dict[str, ArmKinematics] = {}
+        self.last_reset: ResetContext | None = None
+        """The newest reset: how often it drew, and what refused its draws."""
+
+    def draw(self, seed: SeedPath, config: TaskConfig | TaskMix) -> Draw:
+        """Draw the episode of a seed path; for a mix, from the cell of the episode's index.
+
+        Raises:
+            TaskError: With code ``RESET_INFEASIBLE``, naming the constraint that refused most draws.
+            ConfigError: When the configuration names what does not exist.
+        """
+        cell, ordinal = config.at(seed.index)
+        task = self.task(seed, config)
+        scene = self.reset(seed.of_task(task.drawn), cell, task, ordinal)
+        drawn = task.drawn | (self.last_reset.drawn if self.last_reset else {})
+        return Draw(task=replace(task, drawn=drawn), scene=scene, max_steps=cell.max_steps, config_json=to_json(cell))
+
+    def task(self, seed: SeedPath, config: TaskConfig | TaskMix) -> TaskSpec:
+        """Draw the task of a seed path, without its scene.
+
+        Raises:
+            TaskError: With code ``RESET_INFEASIBLE`` when there are no suitable objects or distractors.
+            ConfigError: When the configuration names what does not exist.
+        """
+        cell, ordinal = config.at(seed.index)
+        drawn = config.drawn(seed.index)
+        skill = SKILLS[cell.skill]
+        context = GenerationContext(
+            seed=seed.of_task(drawn),
+            config=cell,
+            library=self._library,
+            roles=skill.roles,
+            mismatch=skill.mismatch,
+            ordinal=ordinal,
+        )
+        task = skill.generate(context)
+        return replace(task, drawn=drawn | context.drawn(task))
+
+    def sample(self, seed: SeedPath, config: TaskConfig | TaskMix) -> TaskSpec:
+        """Draw the task of a seed path, with the recorded choices of the components that place no objects.
+
+        Raises:
+            TaskError: With code ``RESET_INFEASIBLE`` when there are no suitable objects, or no reachable start.
+            ConfigError: When the configuration names what does not exist.
+        """
+        cell, ordinal = config.at(seed.index)
+        task = self.task(seed, config)
+        context = self._context(seed.of_task(task.drawn), cell, task, ordinal)
+        self._begin(context, named("scenes", cell.scene, SceneSpec))
+        return replace(task, drawn=task.drawn | context.drawn)
+
+    def reset(self, seed: SeedPath, config: TaskConfig, task: TaskSpec, ordinal: int | None = None) -> SceneSpec:
+        """Draw the scene of a task.
+
+        Components that place objects are drawn again until every constraint of the skill holds. All others are drawn
+        once, so that their values do not depend on the number of refused placements.
+
+        Raises:
+            TaskError: With code ``RESET_INFEASIBLE``, naming the constraint that refused most draws.
+            ConfigError: When the configuration names what does not exist.
+        """
+        base = named("scenes", config.scene, SceneSpec)
+        wording = Wording.of_task(task, SKILLS[config.skill].roles, self._library)
+        _check_unambiguous(base, config, task, wording)
+        context = self._context(seed, config, task, ordinal)
+        self.last_reset = context
+        scene = self._begin(context, base)
+        while context.draws < config.max_draws:
+            context.draws += 1
+            try:
+                drawn = _apply(scene, context, places=True)
+                if any(wording.mistakable(drawn, task)):
+                    raise RejectedError("instruction_unambiguous")
+                self._check(drawn, context)
+                return drawn
+            except RejectedError as error:
+                context.rejections[error.constraint] += 1
+        (worst, _), *_ = context.rejections.most_common(1)
+        raise _infeasible(context, worst, context.draws)
+
+    def _context(self, seed: SeedPath, config: TaskConfig, task: TaskSpec, ordinal: int | None) -> ResetContext:
+        context = ResetContext(
+            seed=seed,
+            config=config,
+            task=task,
+            library=self._library,
+            arm=self._arm(named("scenes", config.scene, SceneSpec).robot.model),
+            ordinal=ordinal,
+            way_blocked=partial(self._solvability.way_blocked, task) if self._solvability else None,
+        )
+        context.constraints = SKILLS[config.skill].constraints(context)
+        return context
+
+    def _begin(self, context: ResetContext, base: SceneSpec) -> SceneSpec:
+        """Return the scene with the draws of the components that place no objects."""
+        try:
+            return _apply(replace(base, control_rate_hz=context.config.rate_hz), context, places=False)
+        except RejectedError as error:
+            raise _infeasible(context, error.constraint, context.config.max_draws) from None
+
+    def _check(self, scene: SceneSpec, context: ResetContext) -> None:
+        """Refuse a scene by the first constraint that it violates; the costly ones come last."""
+        for constraint in context.constraints:
+            if not constraint.holds(scene):
+                raise RejectedError(constraint.name)
+        task, arm = context.task, context.arm
+        if self._visibility and (refused := self._visibility.refusal(task, scene, arm, context.config.visible)):
+            raise RejectedError(refused)
+        if self._solvability and not self._solvability.holds(task, scene, context.seed.derived_seed("policy")):
+            raise RejectedError(CONSTRAINT)
+
+    def _arm(self, model: str) -> ArmKinematics:
+        if model not in self._arms:
+            self._arms[model] = ArmKinematics(self._library.robot(model))
+        return self._arms[model]
+
+
+def _check_unambiguous(base: SceneSpec, config: TaskConfig, task: TaskSpec, wording: Wording) -> None:
+    """Refuse a scene that already contains an object that the instruction could mean."""
+    for thing in wording.mistakable(base, task):
+        raise ConfigError(
+            f"scene '{config.scene}' already has a {description(thing)} ('{thing.entity}'), so '{task.instruction}' "
+            "would not name one solution; take it out of the scene or restrict the task's objects"
+        )
+
+
+def _apply(scene: SceneSpec, context: ResetContext, *, places: bool) -> SceneSpec:
+    """Apply the task's components that place objects, or those that do not."""
+    for name, section in context.config.reset.items():
+        if COMPONENTS[name].places == places:
+            scene = COMPONENTS[name](section).reset(scene, context)
+    return scene
+
+
+def _infeasible(context: ResetContext, constraint: str, draws: int) -> TaskError:
+    counted = ", ".join(f"{name} {count}" for name, count in context.rejections.most_common())
+    return TaskError(
+        f"no scene for '{context.task.instruction}' in {draws} draws: constraint {constraint} refused most"
+        f"{f' ({counted})' if counted else ''}; widen the area or volume it depends on, or ask for fewer objects",
+        ErrorCode.RESET_INFEASIBLE,
+    )
