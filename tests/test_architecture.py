@@ -13,6 +13,9 @@ SRC = Path(__file__).resolve().parents[1] / "src"
 ROOMS = ["sim", "planner", "tasks", "recorder", "eval", "policies"]
 NODE_MODULES = {"node", "conversions", "ports", "ros", "tick_messages", "controllers"}
 """Modules of a room that may use rclpy or messages."""
+EVERY_ROOM = {"roboxim_core", "roboxim_datasets", "roboxim_ros", "roboxim_interfaces"} | {
+    f"roboxim_{room}" for room in ROOMS
+}
 ALLOWED = {
     "roboxim_core": {"roboxim_planner_native"},  # inverse kinematics of the delta controller
     "roboxim_datasets": {"roboxim_core"},
@@ -23,11 +26,12 @@ ALLOWED = {
         for room in ["recorder", "policies"]
     },
     "roboxim_planner": {"roboxim_core", "roboxim_ros", "roboxim_interfaces", "roboxim_planner_native"},
-    "roboxim_bringup": {"roboxim_core", "roboxim_datasets", "roboxim_ros", "roboxim_interfaces"}
-    | {f"roboxim_{room}" for room in ROOMS},
-    "roboxim": {"roboxim_core", "roboxim_bringup"},
+    "roboxim_bringup": EVERY_ROOM,
+    "roboxim_runs": EVERY_ROOM | {"roboxim_bringup"},
+    "roboxim_cli": EVERY_ROOM | {"roboxim_bringup", "roboxim_runs"},
+    "roboxim": {"roboxim_core", "roboxim_runs", "roboxim_cli"},
 }
-ROS_FREE_KIT = {f"roboxim_ros.{name}" for name in ("conversions", "packing", "schemas", "serialising")}
+ROS_FREE_KIT = {f"roboxim_ros.messages.{name}" for name in ("conversions", "packing", "schemas", "serialising")}
 """Modules of the node kit that need no rclpy, so that a core may use them."""
 
 
@@ -81,6 +85,19 @@ def test_no_package_has_an_import_circle(package):
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(f"modules import each other: {' <- '.join(error.args[1])}")
+
+
+def test_no_folder_is_crowded_and_no_module_repeats_its_folder():
+    house = {"roboxim_bringup", "roboxim_runs", "roboxim_cli"}
+    for package in ALLOWED:
+        for folder in {path.parent for path in modules(package)}:
+            names = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+            most = 14 if package in house else 20
+            where = folder.relative_to(SRC)
+            assert len(names) <= most, f"{where} has {len(names)} modules, at most {most}"
+            if package in house:
+                repeated = {name for name in names if name.removesuffix("s") == folder.name.removesuffix("s")}
+                assert not repeated, f"{where}: {repeated} repeats its folder's name"
 
 
 def core_modules():

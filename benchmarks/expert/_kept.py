@@ -14,7 +14,7 @@ from typing import Any
 from roboxim_core.config import config_dirs
 from roboxim_runs.storage.results_log import ResultsLog
 
-PACKAGES = ("core", "sim", "planner", "planner_native", "tasks", "eval", "ros", "bringup")
+PACKAGES = ("core", "sim", "planner", "planner_native", "tasks", "eval", "ros", "bringup", "runs")
 SUFFIXES = (".py", ".so", ".yaml", ".urdf", ".srdf", ".obj", ".stl", ".glb")
 """Patterns of the files that influence an episode; textures and documents do not."""
 

@@ -11,6 +11,5 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/roboxim_bringup"]),
         ("share/roboxim_bringup", ["package.xml"]),
     ],
-    entry_points={"console_scripts": ["roboxim = roboxim_cli.main:main"]},
     zip_safe=False,
 )

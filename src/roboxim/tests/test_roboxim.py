@@ -41,7 +41,8 @@ class Executor:
 
 
 def test_importing_loads_and_starts_nothing():
-    heavy = ["numpy", "rclpy", "jax", "scipy", "click", "roboxim_bringup", "roboxim_core"]
+    ours = ["roboxim_bringup", "roboxim_cli", "roboxim_core", "roboxim_runs"]
+    heavy = ["numpy", "rclpy", "jax", "scipy", "click", *ours]
     script = f"import sys, roboxim; sys.exit(' '.join(name for name in {heavy} if name in sys.modules) or None)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr

@@ -1,1 +1,1 @@
-"""The runner of all nodes and the roboxim command line."""
+"""The graph of all nodes: launch, supervision, attaching, checks of the machine."""

@@ -37,9 +37,9 @@ Part = Literal["tasks", "policies", "conventions", "experiments"]
 PART_OF: dict[str, Part] = {"skill": "tasks", "policy": "policies"}
 """Kind of name to the part of the catalog that knows the names; names of other kinds are those of files."""
 
-_PACKAGES = ("roboxim_core", "roboxim_tasks", "roboxim_policies", "roboxim_eval", "roboxim_bringup")
+_PACKAGES = tuple(f"roboxim_{name}" for name in ("core", "tasks", "policies", "eval", "bringup", "runs", "cli"))
 RATES_FILES = "rates-*/*.json"
-"""This machine's measured rates of all image sizes and experiments, see `roboxim_runs.experiments.calibration.rates`."""
+"""Measured rates of all image sizes and experiments, see `roboxim_runs.experiments.calibration.rates`."""
 
 
 def catalog(part: Part) -> Catalog:

@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import sys
+from functools import cache
 from pathlib import Path
 from types import FrameType
 
@@ -17,7 +18,8 @@ from click.shell_completion import CompletionItem
 from roboxim_cli.options import keep_lines
 
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR}
-COMMANDS = Path(__file__).parent / "commands"
+FOLDERS = ("commands", "ros")
+"""Folders with a file for each subcommand, at any depth."""
 SECTIONS = {
     "The main job": ("demo", "tasks", "generate", "merge", "export", "dataset", "train", "evaluate"),
     "Experiments": ("experiment", "benchmark"),
@@ -32,18 +34,28 @@ SECTIONS = {
 }  # fmt: skip
 
 
+@cache
+def command_files() -> dict[str, Path]:
+    """Return the files of the subcommands, by name; one whose name begins with ``_`` is none."""
+    here = Path(__file__).parent
+    files = {path.stem: path for folder in FOLDERS for path in (here / folder).rglob("[a-z]*.py")}
+    return dict(sorted(files.items()))
+
+
 class LazyGroup(click.Group):
-    """The group of the subcommands in ``commands/``."""
+    """The group of the subcommands in ``commands/`` and ``ros/``."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the files."""
-        return sorted(path.stem for path in COMMANDS.glob("[a-z]*.py"))
+        return list(command_files())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import a subcommand."""
-        if cmd_name not in self.list_commands(ctx):
+        path = command_files().get(cmd_name)
+        if path is None:
             return None
-        module = importlib.import_module(f"roboxim_cli.commands.{cmd_name}")
+        parts = path.relative_to(Path(__file__).parents[1]).with_suffix("").parts
+        module = importlib.import_module(".".join(parts))
         command: click.Command = module.command
         keep_lines(command)
         return command
@@ -86,7 +98,7 @@ class LazyGroup(click.Group):
 
 def short_help(name: str) -> str:
     """Return the first line of a subcommand's docstring, read from its file."""
-    with open(COMMANDS / f"{name}.py") as file:
+    with open(command_files()[name]) as file:
         found = re.match(r'"""(.*?)\.?(""")?$', file.readline().rstrip())
     return found.group(1) if found else ""
 

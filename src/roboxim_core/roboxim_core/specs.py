@@ -1,7 +1,8 @@
 """Specifications of tasks and scenes: everything that defines an episode before it runs.
 
 All are frozen plain values made of numbers, strings, tuples and one another. They can be compared, hashed, serialised
-(`config.to_plain` / `config.from_plain`) and sent as messages with the same field names (`roboxim_ros.messages.conversions`).
+(`config.to_plain` / `config.from_plain`) and sent as messages with the same field names
+(`roboxim_ros.messages.conversions`).
 `config.digest` is a hash that is the same in every process.
 """
 

@@ -1,12 +1,14 @@
 """Stand-ins of the runs of an experiment that need a simulator."""
 
 import json
+import os
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
 import pytest
 
+from roboxim_bringup.testing import graph, graph_parameters
 from roboxim_core.config import parse_yaml
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import RoboximError
@@ -18,6 +20,8 @@ from roboxim_runs.policies.specs import find_policies
 from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.storage.store import STORED_FILE
 from roboxim_tasks.config import task_mix
+
+__all__ = ["graph", "graph_parameters"]
 
 TEXT = SKILL_AND_OBJECT + """
 trainers:
@@ -128,3 +132,14 @@ def config(tmp_path):
         return ExperimentRunConfig(**{"experiment": str(file), "out": tmp_path / "out", **options})
 
     return made
+
+
+@pytest.fixture
+def runtime(tmp_path, monkeypatch):
+    """Give the test its own registry of runs; restore the environment afterwards."""
+    before = dict(os.environ)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("ROBOXIM_RUN", raising=False)
+    yield tmp_path
+    for name in set(os.environ) - set(before):
+        del os.environ[name]

@@ -2,8 +2,8 @@
 
 rclpy copies a Python message field by field into a C message before it serialises that one, and the Python message must
 be made first. `rosbags` serialises objects by the definition of their type. `to_cdr` serialises a whole dataclass
-(`roboxim_ros.messages.packing`), by the rules of `roboxim_ros.messages.conversions.to_msg`. The bytes are those of rclpy, except that
-padding is 0 and that nothing follows the last field.
+(module `packing`), by the rules of `conversions.to_msg`. The bytes are those of rclpy, except that padding is 0 and
+that nothing follows the last field.
 """
 
 from __future__ import annotations

@@ -179,7 +179,7 @@ def pairing(arms: Mapping[str, Sequence[Shown]], changed: Mapping[str, Collectio
     sizes, they must share the pose of the camera. What most of them show on a scene is right, and another condition's
     episode is a fault. Where no majority agrees, e.g. of two conditions, the scene is a fault of each.
 
-    A changed condition must share with the majority whatever its change leaves (`roboxim_eval.experiments.proving.changes`):
+    A changed condition must share with the majority whatever its change leaves (module `changes`):
     light, surfaces and exposure leave the state, words leave state and pictures, mass and friction leave the places of
     the objects, and every one leaves what it has nothing to do with, e.g. a moved camera the light and the start. Where
     it changes what pictures show, they must differ. A scene that one condition alone met is not checked.

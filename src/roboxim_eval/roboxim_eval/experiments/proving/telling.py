@@ -1,7 +1,7 @@
 """What tells the cells of an experiment apart: the held-out ones from those of a dataset.
 
 The proof of training data asks of every episode whether it is one of a held-out cell, whatever cell it claims. It asks
-by checks of `roboxim_eval.experiments.proving.delivery` that no episode of the dataset's cells passes for the held-out one,
+by checks of the module `delivery` that no episode of the dataset's cells passes for the held-out one,
 e.g. by the light if cells differ in their light. Where no check can do that, an experiment is refused before it starts.
 """
 

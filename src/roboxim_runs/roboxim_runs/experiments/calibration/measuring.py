@@ -1,7 +1,7 @@
 """Measures this machine's rates for ``roboxim experiment plan`` by a small run of every stage.
 
-Each measurement replaces the stored one, see `roboxim_runs.experiments.calibration.rates`; so do the rates that a real run teaches, see
-`roboxim_runs.experiments.calibration.learned`.
+Each measurement replaces the stored one, see the module `rates`; so do the rates that a real run teaches, see
+`learned`.
 """
 
 from __future__ import annotations

@@ -101,7 +101,8 @@ class Reading:
             RoboximError: When a bag is damaged or cannot be drawn, or workers die.
         """
         found = self.run(
-            title, "roboxim_runs.experiments.delivery.worker:DeliveryWorker", {"mixes": dict(mixes), "pictures": pictures},
+            title, "roboxim_runs.experiments.delivery.worker:DeliveryWorker",
+            {"mixes": dict(mixes), "pictures": pictures},
             {job.bag: to_plain(job) for job in jobs},
         )  # fmt: skip
         for job in jobs:
