@@ -62,25 +62,21 @@ def module_name(path, package):
     return ".".join(path.relative_to(SRC / package).with_suffix("").parts).removesuffix(".__init__")
 
 
-def imported_at_the_top(path, names):
-    """Yield the modules of a package that a module names at its top level, for type checkers only or not."""
-    blocks = [ast.parse(path.read_text()).body]
-    while blocks:
-        for node in blocks.pop():
-            if isinstance(node, ast.If | ast.Try):
-                blocks += [node.body, node.orelse]
-            elif isinstance(node, ast.Import):
-                yield from (alias.name for alias in node.names if alias.name in names)
-            elif isinstance(node, ast.ImportFrom) and node.level == 0:
-                for alias in node.names:
-                    found = f"{node.module}.{alias.name}"
-                    yield from {found if found in names else node.module} & names
+def imported_anywhere(path, names):
+    """Yield the modules of a package that a module names anywhere: at its top, inside functions, for type checkers."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            for alias in node.names:
+                found = f"{node.module}.{alias.name}"
+                yield from {found if found in names else node.module} & names
 
 
 @pytest.mark.parametrize("package", sorted(ALLOWED))
 def test_no_package_has_an_import_circle(package):
     paths = {module_name(path, package): path for path in modules(package)}
-    graph = {name: {*imported_at_the_top(path, paths.keys())} - {name} for name, path in paths.items()}
+    graph = {name: {*imported_anywhere(path, paths.keys())} - {name} for name, path in paths.items()}
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:

@@ -4,6 +4,8 @@ Listing skills with the objects that suit them, and checking every task, means i
 therefore cached in the user's cache folder with a fingerprint of its sources: RoboXim's modules, the YAML files and the
 installed distributions. `roboxim tasks list`, tab completion and the first check of an option read the cache, and renew
 it when it is stale. It has four parts with a file each, so that a command makes only what it shows.
+
+As a program, it renews one part.
 """
 
 from __future__ import annotations
@@ -18,22 +20,14 @@ import sys
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, cast
 
 from roboxim_core.config_folders import config_dirs, config_names
 from roboxim_core.user_folders import cache_dir
 
-Catalog = dict[str, Any]
-"""A part of the catalog, as plain values:
+if TYPE_CHECKING:
+    from roboxim_cli.catalog_maker import Catalog, Part
 
-- ``tasks``: ``skills`` (name to instruction and roles), ``tasks`` (name to description), ``broken`` (name of a task to
-  the error in its file);
-- ``policies``: ``policies`` (name to its first sentence and options);
-- ``conventions``: ``conventions`` (name to its line in a list and its whole description), ``broken``;
-- ``experiments``: ``experiments`` (name to chapter of the thesis, description and scales, each with its time or an
-  empty text), ``benchmarks`` (name to chapter, description, experiments and scales), ``broken``, ``measured`` (whether
-  this machine's rates are known)."""
-Part = Literal["tasks", "policies", "conventions", "experiments"]
 PART_OF: dict[str, Part] = {"skill": "tasks", "policy": "policies"}
 """Kind of name to the part of the catalog that knows the names; names of other kinds are those of files."""
 
@@ -81,7 +75,7 @@ def names_of(kind: str) -> list[str]:
     kept = _read(_file(part))
     if kept.get("fingerprint") != _fingerprint(part):
         subprocess.Popen(
-            [sys.executable, "-m", "roboxim_cli.catalog_maker", part],
+            [sys.executable, "-m", "roboxim_cli.catalog", part],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip
     return sorted(kept.get("catalog", {}).get("skills" if kind == "skill" else "policies", {}))
@@ -89,7 +83,7 @@ def names_of(kind: str) -> list[str]:
 
 def _fresh(part: Part, fingerprint: str) -> Catalog | None:
     kept = _read(_file(part))
-    return kept["catalog"] if kept.get("fingerprint") == fingerprint else None
+    return cast("Catalog", kept["catalog"]) if kept.get("fingerprint") == fingerprint else None
 
 
 def _file(part: Part) -> Path:
@@ -141,4 +135,5 @@ def _write(path: Path, data: dict[str, Any]) -> None:
         os.replace(name, path)
 
 
-__all__ = ["PART_OF", "Catalog", "Part", "catalog", "fresh_catalog", "names_of"]
+if __name__ == "__main__":
+    catalog(cast("Part", sys.argv[1]))

@@ -1,4 +1,4 @@
-"""Makes the parts of the catalog of `roboxim_cli.catalog`; imports the rooms. As a program, it renews one part."""
+"""Makes the parts of the catalog of `roboxim_cli.catalog`; imports the rooms."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ import importlib
 import inspect
 import itertools
 import re
-import sys
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal
 
-from roboxim_cli.catalog import Catalog, Part, catalog
 from roboxim_core.config import named_config
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
@@ -18,9 +16,21 @@ from roboxim_core.errors import ConfigError
 if TYPE_CHECKING:
     from roboxim_eval.experiments import ExperimentConfig
 
+Catalog = dict[str, Any]
+"""A part of the catalog, as plain values:
+
+- ``tasks``: ``skills`` (name to instruction and roles), ``tasks`` (name to description), ``broken`` (name of a task to
+  the error in its file);
+- ``policies``: ``policies`` (name to its first sentence and options);
+- ``conventions``: ``conventions`` (name to its line in a list and its whole description), ``broken``;
+- ``experiments``: ``experiments`` (name to chapter of the thesis, description and scales, each with its time or an
+  empty text), ``benchmarks`` (name to chapter, description, experiments and scales), ``broken``, ``measured`` (whether
+  this machine's rates are known)."""
+Part = Literal["tasks", "policies", "conventions", "experiments"]
+
 
 def make_catalog(part: Part) -> Catalog:
-    """Make a part of the catalog; see `roboxim_cli.catalog.Catalog`.
+    """Make a part of the catalog; see `Catalog`.
 
     Raises:
         ConfigError: When an object's file is wrong.
@@ -62,7 +72,7 @@ def make_tasks() -> Catalog:
 
 
 def make_experiments() -> Catalog:
-    """Return experiments and benchmarks as plain values; see `roboxim_cli.catalog.Catalog`."""
+    """Return experiments and benchmarks as plain values; see `Catalog`."""
     from roboxim_eval.experiments import scale_names
     from roboxim_runs.experiments.files import benchmark_experiments, load_benchmark, load_experiment
 
@@ -158,7 +168,3 @@ def _first_sentence(text: str) -> str:
     comment = " ".join(line.lstrip("#").strip() for line in lines)
     end = re.search(r"[.!?](?=\s+[A-Z`]|$)", comment)
     return comment[: end.end()] if end else comment
-
-
-if __name__ == "__main__":
-    catalog(cast(Part, sys.argv[1]))

@@ -6,6 +6,7 @@ change here.
 
 from __future__ import annotations
 
+import importlib
 import re
 from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
@@ -19,13 +20,16 @@ T = TypeVar("T")
 class Registry(Generic[T]):
     """Mapping of names to items of one kind; duplicates and unknown names raise errors that list the valid names."""
 
-    def __init__(self, kind: str) -> None:
+    def __init__(self, kind: str, checks: str = "") -> None:
         """Make an empty registry.
 
         Args:
             kind: Kind of the items, for messages and for the entry point group ``roboxim.<kind>``, e.g. ``"skill"``.
+            checks: Module with further conformance checks, imported by the first `check`: for checks that use what
+                depends on the registry.
         """
         self.kind = kind
+        self._checks_in = checks
         self._items: dict[str, T] = {}
         self._broken: dict[str, str] = {}
         self._checks: list[Callable[[str, T], None]] = []
@@ -101,6 +105,8 @@ class Registry(Generic[T]):
             ConfigError: When there is no such item, or it does not conform; the message names every failed check.
         """
         item = self[name]
+        if self._checks_in:
+            importlib.import_module(self._checks_in)
         failed = []
         if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
             failed.append(f"the name '{name}' is not lower case with underscores")

@@ -27,6 +27,7 @@ from roboxim_core.config import to_plain
 from roboxim_core.errors import ConfigError, RoboximError, UnavailableError
 from roboxim_eval.experiments import Stage
 from roboxim_runs.events import (
+    Event,
     Notice,
     OnEvent,
     StageFinished,
@@ -47,6 +48,8 @@ LOG_LINES, LOG_BYTES = 15, 4000
 """Lines of a failed training's log in the message, and the most bytes that are read for them."""
 NOTE_LENGTH = 100
 """Longest line of a log that is shown as progress."""
+TOLD = {event.__name__: event for event in (StageStarted, StageProgress, StageFinished)}
+"""Events that a worker passes on, by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,8 +136,6 @@ def train_on(
         RoboximError: When a training fails; the message has the end of its log.
         UnavailableError: When three workers were lost at a training.
     """
-    from roboxim_runs.training.worker import event_of
-
     by_name, running = {stage.name: stage for stage in stages}, _Shared()
 
     def on_note(note: Note) -> None:
@@ -165,6 +166,11 @@ def train_on(
         finally:
             if isinstance(outcomes, Generator):
                 outcomes.close()  # ends the other trainings now, not when the error is forgotten
+
+
+def event_of(data: Any) -> Event | None:
+    """Return the event that a worker has told; none: it has only told that it lives."""
+    return TOLD[data["event"]](**data["fields"]) if data else None
 
 
 class _Shared:

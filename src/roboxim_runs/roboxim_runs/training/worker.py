@@ -23,10 +23,10 @@ from roboxim_core.config import from_plain, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Stage
-from roboxim_runs.events import Event, StageFinished, StageProgress, StageStarted
+from roboxim_runs.events import Event
 from roboxim_runs.executors.protocol import WorkerBrokenError
 from roboxim_runs.experiments.provenance import Origin
-from roboxim_runs.training.commands import Trained, train
+from roboxim_runs.training.commands import TOLD, Trained, train
 
 LOOK_S = 1.0
 """Period at which a worker looks whether a training is still its own [s]."""
@@ -37,13 +37,6 @@ YIELD_S = 8.0
 """Time that a worker before has for ending its training [s]; more than `LOOK_S` and `SAVE_S`."""
 ALIVE_S = 20.0
 """Longest time for which a worker tells nothing [s]."""
-TOLD = {event.__name__: event for event in (StageStarted, StageProgress, StageFinished)}
-"""Events that a worker passes on, by name."""
-
-
-def event_of(data: Any) -> Event | None:
-    """Return the event that a worker has told; none: it has only told that it lives."""
-    return TOLD[data["event"]](**data["fields"]) if data else None
 
 
 class TrainingWorker:
@@ -63,7 +56,7 @@ class TrainingWorker:
 
         Args:
             job: Its `Stage`, as plain data.
-            note: Receives its events; see `event_of`.
+            note: Receives its events; see `roboxim_runs.training.commands.event_of`.
 
         Returns:
             ``wall_s``, ``continued`` and ``origin``, see `Trained`.
