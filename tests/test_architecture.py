@@ -29,7 +29,7 @@ ALLOWED = {
     "roboxim_bringup": EVERY_ROOM,
     "roboxim_runs": EVERY_ROOM | {"roboxim_bringup"},
     "roboxim_cli": EVERY_ROOM | {"roboxim_bringup", "roboxim_runs"},
-    "roboxim": {"roboxim_core", "roboxim_runs", "roboxim_cli"},
+    "roboxim": {"roboxim_core", "roboxim_bringup", "roboxim_runs", "roboxim_cli"},
 }
 ROS_FREE_KIT = {f"roboxim_ros.messages.{name}" for name in ("conversions", "packing", "schemas", "serialising")}
 """Modules of the node kit that need no rclpy, so that a core may use them."""

@@ -57,6 +57,9 @@ def described(convention: Convention) -> str:
     parts += [_titled("One action", examples(convention))]
     if convention.notes:
         parts.append(_titled("Note", [f"- {note}" for note in convention.notes]))
+    if convention.proof:
+        proof = convention.proof
+        parts.append(_titled("Compared with a genuine client", [f"- {proof.client}, on {proof.date}"]))
     if convention.sources:
         parts.append(_titled("Sources", [f"- {source}" for source in convention.sources]))
     return "\n\n".join(parts)

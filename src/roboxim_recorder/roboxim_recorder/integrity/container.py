@@ -2,8 +2,8 @@
 
 Two checksums cover an MCAP file: one from the file's start to the end of its data section, one from the start of its
 summary to its footer. What lies between and behind them is fixed. So no byte of the recorder's files can change
-unnoticed. A checksum of 0 means "not available": other programs write none, and then the chunks' own checksums and
-the messages are what `roboxim_recorder.integrity.check` can check. A file whose writer names itself as the recorder has both.
+unnoticed. A checksum of 0 means "not available": other programs write none, and then the checksums of the chunks and
+the messages are what `roboxim_recorder.integrity.check` can check. A file of the recorder has both.
 
 Source: MCAP format specification, version 0.
 """
