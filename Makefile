@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Container images often set this variable. Without compiled modules each process of a run starts a second later.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-slow format lint types docs colcon verify-conventions verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals lock clean clean-all
+.PHONY: help setup demo test test-slow fuzz format lint types docs colcon verify-conventions verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals lock clean clean-all
 
 help: ## list the commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
@@ -19,11 +19,14 @@ setup: ## install everything into this checkout (.tools/, .venv/); PYTHON=... ch
 demo: setup ## run the main job: generate, record, export, train, evaluate; ARGS="..." adds options
 	@$(BIN)/roboxim demo $(ARGS)
 
-test: setup ## run the default tests (all but those marked slow or gpu), one process a core; ARGS="-k name" adds options
+test: setup ## run the default tests (all but those marked slow, fuzz or gpu), one process a core; ARGS="-k name" adds options
 	$(BIN)/pytest -n logical --maxprocesses 4 --dist loadfile $(ARGS)
 
 test-slow: setup ## run the tests marked slow
 	$(BIN)/pytest -m "slow and not gpu" $(ARGS)
+
+fuzz: setup ## mutate files of every format 100 times each; ARGS="-k name" adds options
+	$(BIN)/pytest -n logical --maxprocesses 4 -m fuzz $(ARGS)
 
 format: setup ## format the code and fix what ruff can fix
 	$(BIN)/ruff check --fix --show-fixes

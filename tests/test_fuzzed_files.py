@@ -2,7 +2,7 @@
 
 Real files are taken apart, a part is dropped, renamed, retyped, emptied, cut, repeated or exchanged, and the file is
 put together again, so that a reader gets past its first checks. What comes out is read, or refused by a `RoboximError`.
-100 mutations of each format run always, 2,000 with ``-m slow``.
+8 mutations of each format run always, 100 with ``-m fuzz``, as in CI, 2,000 with ``-m slow``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from roboxim_core.models.hulls import hull_of
 from roboxim_core.models.urdf import urdf_object
 from roboxim_runs.episodes.task_choice import task_text
 
-FEW, MANY = 100, 2000
+FEW, CI, MANY = 8, 100, 2000
 ODD = ("", "nan", "-1", "1e999", "0", "x" * 300, "\u00e4\u2028", "[]", "null", "${a}", "1,5", "../..")
 ODD_VALUES = (None, True, -1, 0, 1e308, float("nan"), float("inf"), "", "x", [], {}, [[]], {"a": 1}, "\u00e4", 10**30)
 
@@ -226,7 +226,13 @@ def test_no_mutation_gives_a_traceback(tmp_path, name):
     run(FORMATS[name], tmp_path, name, range(FEW))
 
 
+@pytest.mark.fuzz
+@pytest.mark.parametrize("name", FORMATS)
+def test_no_mutation_of_a_hundred_gives_a_traceback(tmp_path, name):
+    run(FORMATS[name], tmp_path, name, range(FEW, CI))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FORMATS)
 def test_no_mutation_of_many_gives_a_traceback(tmp_path, name):
-    run(FORMATS[name], tmp_path, name, range(FEW, MANY))
+    run(FORMATS[name], tmp_path, name, range(CI, MANY))

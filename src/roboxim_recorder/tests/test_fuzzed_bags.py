@@ -2,7 +2,7 @@
 
 Topics, types, schemas, messages and records are dropped, renamed, retyped, cut, repeated or exchanged, so that a reader
 gets past its first checks. What comes out is read, or refused by a `RoboximError`. What a check calls whole is read.
-100 mutations run always, 2,000 with ``-m slow``.
+8 mutations run always, 100 with ``-m fuzz``, as in CI, 2,000 with ``-m slow``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.integrity.repair import repair_bag
 from roboxim_recorder.summary import bag_info
 
-FEW, MANY = 100, 2000
+FEW, CI, MANY = 8, 100, 2000
 ODD = ("", "nan", "-1", "0", "x" * 300, "\u00e4\u2028", "[]", "null", "../..")
 
 
@@ -167,6 +167,11 @@ def test_no_mutation_of_a_bag_gives_a_traceback(tmp_path, small_bag):
     run(tmp_path, small_bag, range(FEW))
 
 
+@pytest.mark.fuzz
+def test_no_mutation_of_a_hundred_of_a_bag_gives_a_traceback(tmp_path, small_bag):
+    run(tmp_path, small_bag, range(FEW, CI))
+
+
 @pytest.mark.slow
 def test_no_mutation_of_many_of_a_bag_gives_a_traceback(tmp_path, small_bag):
-    run(tmp_path, small_bag, range(FEW, MANY))
+    run(tmp_path, small_bag, range(CI, MANY))

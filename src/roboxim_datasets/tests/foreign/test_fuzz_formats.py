@@ -61,6 +61,12 @@ def test_what_is_made_is_read(maker: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("maker", MAKERS)
+def test_mutations_cause_no_traceback(maker: str, tmp_path: Path) -> None:
+    assert sum(fuzz(maker, tmp_path, range(8)).values()) == 8
+
+
+@pytest.mark.fuzz
+@pytest.mark.parametrize("maker", MAKERS)
 def test_a_hundred_mutations_cause_no_traceback(maker: str, tmp_path: Path) -> None:
     found = fuzz(maker, tmp_path, range(100))
     assert sum(found.values()) == 100
