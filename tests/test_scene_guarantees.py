@@ -119,4 +119,4 @@ def test_a_scene_that_begins_in_motion_declares_it(cores, tmp_path):
         return EpisodeRunner(cores.ports, config).run_index(0)
 
     assert "ball_unsettled" in run(60).message
-    assert run(0).reason == "not_grasped"
+    assert run(0).outcome == "failure"

@@ -365,7 +365,7 @@ def test_conventions_are_listed_and_explained(tmp_path):
         .invoke(group, ["policy", "describe", "libero"], standalone_mode=False, catch_exceptions=False)
         .output
     )
-    assert "[1, 0, 0, 0, 0, 0, 0]   moves 50 mm along +x (forwards)" in text
+    assert "[1, 0, 0, 0, 0, 0, 0]   moves 13.1 mm along +x (forwards)" in text
     (tmp_path / "own.yaml").write_text("rate_hz: 7\n")
     own = CliRunner().invoke(group, ["policy", "describe", str(tmp_path / "own.yaml")], standalone_mode=False)
     assert "The policy acts at 7 Hz" in own.output

@@ -131,6 +131,7 @@ def test_depth_is_exported_on_request_at_the_images_size(run, fake):
 def test_the_convention_beside_a_dataset_asks_a_policy_for_what_the_dataset_holds(run, tmp_path, fake, convention):
     if convention:
         text = named_config("conventions", "libero").read_text().replace("rate_hz: 20", "rate_hz: 10")
+        text = text.replace("  response: {name: robosuite_osc_pose}\n", "")  # else the expert is too fast for it
         text += "prompt: {lower: true}\n" if "prompt:" not in text else ""
         convention = str(tmp_path / "here.yaml")
         (tmp_path / "here.yaml").write_text(text)

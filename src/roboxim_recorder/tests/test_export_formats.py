@@ -130,7 +130,7 @@ def test_an_hdf5_file_of_another_tool_is_read_without_guesses(run, tmp_path):
     assert dict(dataset.splits) == {"train": 5}
     assert (dataset.description.semantics, dataset.features.vectors["state"][0]) == (None, "state.0")
     episode = dataset.episode(1)
-    assert (episode.instruction, episode.success, episode.episode_id) == ("Pick up the red cube", True, "")
+    assert (episode.instruction, episode.success, episode.episode_id) == ("Pick up the red cube", True, "demo_1")
     step = next(episode.steps())
     assert step.action_executed is None
     assert step.images["workspace"].shape == (24, 32, 3)

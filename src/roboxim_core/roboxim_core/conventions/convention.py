@@ -187,7 +187,7 @@ def load_convention(name: str) -> Convention:
         if action.normalisation:
             action = replace(action, normalisation=action.normalisation.resolved(path.parent))
         if action.response:
-            action = replace(action, response=action.response.resolved(path.parent))
+            action = replace(action, response=action.response.resolved())
     except InvalidRequestError as error:
         raise ConfigError(f"{path} is not valid: action: {error}") from None
     convention = replace(convention, action=action)

@@ -6,13 +6,12 @@ RoboXim's controller reaches every goal, so a convention states the response, an
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
 from roboxim_core.actions.lag import COMPONENTS, require_lag
-from roboxim_core.config import from_plain, load_yaml
+from roboxim_core.config import from_plain, load_yaml, named_config
 from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_core.rotation.representations import Floats
 
@@ -25,8 +24,8 @@ class ControllerResponse:
     """The controller, and how its response was identified."""
     sources: tuple[str, ...] = ()
     """Where the numbers come from."""
-    file: str = ""
-    """YAML file with a response, relative to the convention's file; empty: ``gain`` and ``lag`` are given."""
+    name: str = ""
+    """Name in ``config/responses``, or the path of a YAML file; empty: ``gain`` and ``lag`` are given."""
     gain: tuple[float, ...] = ()
     """Share of the commanded delta by which the arm moves in a tick of steady motion, 6 numbers."""
     lag: tuple[float, ...] = ()
@@ -45,33 +44,30 @@ class ControllerResponse:
         """
         for name in ("gain", "lag", "sources"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        if self.file and not self.gain:
+        if self.name and not self.gain:
             return
         if len(self.gain) != COMPONENTS or len(self.lag) != COMPONENTS:
             raise InvalidRequestError(
-                f"response needs a file, or gain and lag of {COMPONENTS} numbers each (x, y, z, and rotations about "
+                f"response needs a name, or gain and lag of {COMPONENTS} numbers each (x, y, z, and rotations about "
                 f"them), got {len(self.gain)} and {len(self.lag)}"
             )
         if not all(0.0 < number <= 2.0 for number in self.gain):
             raise InvalidRequestError(f"response: gain must be above 0 and at most 2, got {list(self.gain)}")
         require_lag(self.lag)
 
-    def resolved(self, folder: Path) -> ControllerResponse:
-        """Return the response with the file's numbers.
-
-        Args:
-            folder: Folder that a relative path starts at.
+    def resolved(self) -> ControllerResponse:
+        """Return the response with its file's numbers.
 
         Raises:
             ConfigError: When the file is missing or invalid.
         """
         if self.gain:
             return self
-        path = (folder / Path(self.file).expanduser()).resolve()
+        path = named_config("responses", self.name)
         found = from_plain(load_yaml(path) or {}, ControllerResponse, source=str(path))
         if not found.gain:
             raise ConfigError(f"{path} must hold gain and lag, not the name of another file")
-        return replace(found, file="")
+        return found
 
     @property
     def gains(self) -> Floats:

@@ -283,8 +283,9 @@ def test_served_policy_speaks_the_convention_of_a_benchmark(wire):
             with load_policy(wire, url=server.url, convention="server", version="1") as remote:
                 remote.reset(EpisodeStart(episode_id="e", instruction="red", seed=0))
                 raw = remote.raw(window)[0]
-    # the motion in units of 0.05 m and 0.5 rad, and 1 closes
-    np.testing.assert_allclose(raw, [-0.1, 0.3, 0.1, 0.2, 0, 0, 1], atol=1e-6)
+    # the motion in units of what robosuite's arm moves per step of 0.05 m and 0.5 rad, and 1 closes
+    gains = np.array(libero.action.response.gain)
+    np.testing.assert_allclose(raw, [*(np.array([-0.1, 0.3, 0.1, 0.2, 0, 0]) / gains), 1], atol=1e-6)
 
 
 def test_openvla_answers_errors_as_the_genuine_server_does():
@@ -326,7 +327,7 @@ def test_policy_gets_pictures_of_the_size_that_it_states():
     }  # fmt: skip
     sessions = Sessions(Small, convention=libero)
     with sessions.session() as session:
-        assert session.answer(request)[0, 3] == pytest.approx(0.2 / 0.5, abs=0.01)
+        assert session.answer(request)[0, 3] == pytest.approx(0.2 / 0.5 / libero.action.response.gain[3], abs=0.02)
 
 
 def test_what_cannot_be_served_is_refused():

@@ -82,9 +82,9 @@ def test_requests_are_the_genuine_clients_and_poses_come_back():
     assert array(request["image0"]).shape == (256, 256, 3)
     assert array(request["image0"]).dtype == np.uint8
     # the probe's tool points down: its axes, turned by -90 degrees about the tool's z axis, are +y and +x
-    np.testing.assert_allclose(array(request["proprio"]), [-0.16, 0, 1.212, 0, 1, 0, 1, 0, 0, *[0] * 11], atol=1e-9)
+    np.testing.assert_allclose(array(request["proprio"]), [-0.16, 0, 1.2189, 0, 1, 0, 1, 0, 0, *[0] * 11], atol=1e-9)
     assert actions.shape == (30, 10)
-    np.testing.assert_allclose(actions[0], [0.5, 0, 0.3, 1, 0, 0, 0, -1, 0, 0.1], atol=1e-9)
+    np.testing.assert_allclose(actions[0], [0.5, 0, 0.2931, 1, 0, 0, 0, -1, 0, 0.1], atol=1e-9)
 
 
 def test_the_last_predicted_pose_is_the_next_proprio_until_the_next_episode():
