@@ -388,6 +388,27 @@ def groot_libero(seen: Requests) -> tuple[str, Requests]:
     return "steps that Isaac-GR00T's libero_env.py states", {**pictures, **numbers, "gripper": state[6:8]}
 
 
+def starvla_libero(seen: Requests) -> tuple[str, Requests]:
+    """Prepare an observation as StarVLA's evaluation of LIBERO does."""
+    from PIL import Image
+
+    raw = {"primary": seen["agentview_image"], "wrist_image": seen["robot0_eye_in_hand_image"]}
+    pictures = {
+        key: np.asarray(Image.fromarray(upside_up(picture)).resize((224, 224), Image.Resampling.BILINEAR))
+        for key, picture in raw.items()
+    }
+    return "Pillow's operations that starVLA's LIBERO client states", {**pictures, "lang": INSTRUCTION.lower()}
+
+
+def xvla_libero(seen: Requests, env: Any) -> tuple[str, Requests]:
+    """Prepare an observation as X-VLA's client of LIBERO does: the wrist picture raw, the pose of the controller."""
+    position, rotation = tool(env)
+    proprio = [*position, *rotation[:, 0], *rotation[:, 1], *[0.0] * 11]
+    pictures = {"image0": upside_up(seen["agentview_image"]), "image1": seen["robot0_eye_in_hand_image"]}
+    request = {**pictures, "proprio": np.array(proprio), "language_instruction": INSTRUCTION.lower()}
+    return "steps that X-VLA's libero_client.py states, pose of robosuite's controller", request
+
+
 def not_of_libero(optical: np.ndarray, wide: np.ndarray) -> dict[str, tuple[str, Requests]]:
     """Return what clients of other robots send for a camera's upright picture: 256 x 256, and 180 x 320 for DROID."""
     from openpi_client import image_tools
@@ -395,12 +416,18 @@ def not_of_libero(optical: np.ndarray, wide: np.ndarray) -> dict[str, tuple[str,
     padded = image_tools.convert_to_uint8(image_tools.resize_with_pad(wide, 224, 224))
     droid = {"observation/exterior_image_1_left": padded, "observation/wrist_image_left": padded}
     client = f"openpi-client {version('openpi-client')}, as openpi's examples/droid/main.py uses it"
+    roboarena = {"observation/exterior_image_0_left": padded, "observation/wrist_image_left": padded}
     resized = through_tensorflow(optical, 256, jpeg=False, crop_area=0.9)
-    octo = "TensorFlow's operations that Octo's gym_wrappers.py states", {"image_primary": resized}
+    wrist = through_tensorflow(optical, 128, jpeg=False)
+    operations = "TensorFlow's operations that Octo's gym_wrappers.py states"
+    octo = operations, {"image_primary": resized}
     openvla = {"image": through_tensorflow(optical, 224, jpeg=True)}
     simpler = {"image": through_tensorflow(optical, 224, jpeg=False)}
     return {
         "droid_velocity": (client, droid), "droid_position": (client, droid), "octo_bridge": octo, "octo_fractal": octo,
+        "octo_two_cameras": (operations, {"image_primary": resized, "image_wrist": wrist}),
+        "roboarena_joint_position": (f"openpi-client {version('openpi-client')}", roboarena),
+        "roboarena_joint_velocity": (f"openpi-client {version('openpi-client')}", roboarena),
         "bridge": ("TensorFlow's operations that openvla's bridge client states", openvla),
         "fractal": ("TensorFlow's operations that SimplerEnv states", simpler),
     }  # fmt: skip
@@ -431,7 +458,8 @@ def main() -> None:
         made = {
             "libero": openpi_libero(shown, sources), "vla_eval_libero": vla_eval_libero(shown, env),
             "oft_libero": oft_libero(shown, sources), "openvla_libero": openvla_libero(shown),
-            "groot_libero": groot_libero(shown),
+            "groot_libero": groot_libero(shown), "starvla_libero": starvla_libero(shown),
+            "xvla_libero": xvla_libero(shown, env),
         }  # fmt: skip
         if source == "pattern":
             made |= not_of_libero(optical, wide)
