@@ -409,9 +409,12 @@ def xvla_libero(seen: Requests, env: Any) -> tuple[str, Requests]:
     return "steps that X-VLA's libero_client.py states, pose of robosuite's controller", request
 
 
-def not_of_libero(optical: np.ndarray, wide: np.ndarray) -> dict[str, tuple[str, Requests]]:
-    """Return what clients of other robots send for a camera's upright picture: 256 x 256, and 180 x 320 for DROID."""
+def not_of_libero() -> dict[str, tuple[str, Requests]]:
+    """Return what clients of other robots send for upright patterns of the size that their camera delivers."""
+    import cv2
     from openpi_client import image_tools
+
+    optical, wide = pattern(256, 256), pattern(180, 320)
 
     padded = image_tools.convert_to_uint8(image_tools.resize_with_pad(wide, 224, 224))
     droid = {"observation/exterior_image_1_left": padded, "observation/wrist_image_left": padded}
@@ -423,7 +426,28 @@ def not_of_libero(optical: np.ndarray, wide: np.ndarray) -> dict[str, tuple[str,
     octo = operations, {"image_primary": resized}
     openvla = {"image": through_tensorflow(optical, 224, jpeg=True)}
     simpler = {"image": through_tensorflow(optical, 224, jpeg=False)}
+    external = ("observation/exterior_image_1_left", "observation/exterior_image_2_left")
+    as_rendered = "its source states that the camera's frame is sent as it is"
     return {
+        "starvla_bridge": (
+            f"OpenCV {cv2.__version__}, INTER_AREA as starVLA's model2simpler_interface.py uses it",
+            {"image": cv2.resize(optical, (224, 224), interpolation=cv2.INTER_AREA)},
+        ),
+        "groot_droid": (as_rendered, {"exterior_image_1_left": wide, "wrist_image_left": wide}),
+        "groot_bridge": (as_rendered, {"image_0": optical}),
+        "groot_fractal": (as_rendered, {"image": pattern(256, 320)}),
+        "rt1_widowx": (as_rendered, {"image": pattern(256, 320)}),
+        "rt1_fractal": (as_rendered, {"image": pattern(256, 320)}),
+        "cosmos3_droid": (as_rendered, dict.fromkeys((*external, "observation/wrist_image_left"), pattern(360, 640))),
+        "dreamzero_droid": (
+            as_rendered,
+            dict.fromkeys(
+                (
+                    "observation/exterior_image_0_left", "observation/exterior_image_1_left",
+                    "observation/wrist_image_left",
+                ), wide,
+            ),
+        ),
         "droid_velocity": (client, droid), "droid_position": (client, droid), "octo_bridge": octo, "octo_fractal": octo,
         "octo_two_cameras": (operations, {"image_primary": resized, "image_wrist": wrist}),
         "roboarena_joint_position": (f"openpi-client {version('openpi-client')}", roboarena),
@@ -450,7 +474,7 @@ def main() -> None:
     env = make_robosuite(pictures=True)
     seen = observed_scene(env)
     # Patterns as a camera sees them; robosuite's raw pictures are flipped from top to bottom.
-    optical, wide = pattern(256, 256), pattern(180, 320)
+    optical = pattern(256, 256)
     marked = {**seen, "agentview_image": optical[::-1], "robot0_eye_in_hand_image": optical[::-1, ::-1]}
     requests: dict[str, Any] = {}
     clients: dict[str, str] = {}
@@ -462,14 +486,15 @@ def main() -> None:
             "xvla_libero": xvla_libero(shown, env),
         }  # fmt: skip
         if source == "pattern":
-            made |= not_of_libero(optical, wide)
+            made |= not_of_libero()
         for name, (code, request) in made.items():
             clients[name] = code
             requests |= {f"{source}|{name}|{key}": np.asarray(value) for key, value in request.items()}
     np.savez_compressed(options.out / "requests.npz", **requests)
     kept = ("agentview_image", "robot0_eye_in_hand_image", "robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
+    patterns = {f"pattern {h} x {w}": pattern(h, w) for h, w in ((256, 256), (180, 320), (256, 320), (360, 640))}
     np.savez_compressed(
-        options.out / "scene.npz", optical=optical, wide=wide, base=seen["base"], cube_in_base=seen["cube_in_base"],
+        options.out / "scene.npz", **patterns, base=seen["base"], cube_in_base=seen["cube_in_base"],
         joints=env.sim.data.qpos[env.robots[0]._ref_joint_pos_indexes], **{key: seen[key] for key in kept},
     )  # fmt: skip
     (options.out / "clients.json").write_text(json.dumps(clients, indent=2) + "\n")

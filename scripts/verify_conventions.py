@@ -140,7 +140,7 @@ def compare(
         if theirs is None:
             result.faults.append(f"the client sends no picture '{image.key}'")
             continue
-        shown = scene["wide"] if image.render_height == 180 else scene["optical"]
+        shown = scene[f"pattern {image.render_height} x {image.render_width}"]
         shown = shown[:, ::-1] if of_libero and image.camera == "wrist" else shown
         ours = image.prepare(np.ascontiguousarray(shown))
         rows.append((f"{name} {image.key}", theirs, ours))

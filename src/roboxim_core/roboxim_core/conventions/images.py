@@ -30,6 +30,8 @@ class Resize(StrEnum):
     """Cut the largest centred part of the target's shape, then scale it by PIL's Lanczos filter."""
     LANCZOS3 = "lanczos3"
     """Stretch to the size by PIL's antialiasing Lanczos filter, as Octo and OpenVLA do (TensorFlow's ``lanczos3``)."""
+    AREA = "area"
+    """Stretch to the size by OpenCV's mean of areas (``INTER_AREA``)."""
     BILINEAR = "bilinear"
     """Stretch to the size by PIL's antialiasing bilinear filter."""
     NONE = "none"
@@ -143,6 +145,10 @@ class ImageInput:
         if kind == Resize.CROP:
             scale = min(width / self.width, height / self.height)
             box = _centred(width, height, self.width * scale, self.height * scale)
+        elif kind == Resize.AREA:
+            import cv2
+
+            return np.asarray(cv2.resize(picture, (self.width, self.height), interpolation=cv2.INTER_AREA), np.uint8)
         elif kind == Resize.LANCZOS3:
             return _lanczos(picture, self.height, self.width)
         filter_ = Image.Resampling.BILINEAR if kind == Resize.BILINEAR else Image.Resampling.LANCZOS

@@ -21,6 +21,7 @@ _RESIZED = {
     Resize.PAD: "scaled to {size} with black bars where the shape differs",
     Resize.CROP: "cut to the shape of {size} in the middle and scaled",
     Resize.LANCZOS3: "stretched to {size} (lanczos3)",
+    Resize.AREA: "stretched to {size} (mean of areas)",
     Resize.BILINEAR: "stretched to {size} (bilinear)",
     Resize.NONE: "of {size}; another size is refused",
 }
