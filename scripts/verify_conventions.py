@@ -46,6 +46,7 @@ from roboxim_sim.rendering import make_renderer
 
 ROOT = Path(__file__).resolve().parents[1]
 GENUINE = ROOT / ".tools" / "verify-conventions-env" / "bin" / "python"
+LEROBOT = ROOT / ".tools" / "verify-lerobot-env" / "bin" / "python"
 INSTRUCTION = "Pick up the red cube"
 GREY_LEVELS = 1
 """Largest allowed difference of a pixel from the genuine client's."""
@@ -286,6 +287,20 @@ def picture_table(results: dict[str, Result]) -> list[str]:
     return lines
 
 
+def lerobot_line(out: Path, requests: dict[str, Any]) -> str:
+    """Compare what LeRobot's own step makes of the scene with what vla-eval's and openpi's clients send."""
+    if not LEROBOT.is_file():
+        return "LeRobot: not compared; `scripts/make_environment.py verify-lerobot` adds its environment (2 GB)."
+    subprocess.run([str(LEROBOT), str(ROOT / "scripts" / "genuine_lerobot.py"), str(out)], check=True)
+    made = np.load(out / "lerobot.npz")
+    pixels = np.abs(made["picture"].astype(int) - requests["scene|vla_eval_libero|agentview"].astype(int)).max()
+    state = np.abs(made["state"] - requests["scene|libero|observation/state"]).max()
+    return (
+        f"LeRobot {made['version']}, LiberoProcessorStep run: its picture differs from that of `vla_eval_libero`'s "
+        f"client by {pixels} grey levels, its state from that of `libero`'s by {state:.1e}."
+    )
+
+
 def run_clients(options: argparse.Namespace) -> None:
     """Run the genuine clients, which write into ``--out``."""
     command = [str(GENUINE), str(ROOT / "scripts" / "genuine_clients.py"), str(options.out)]
@@ -310,6 +325,7 @@ def main() -> int:
     results = {name: result for name, (result, _) in compared.items()}
     others = sorted(set(config_names("conventions")) - set(results))
     lines = ["## What is sent", "", *picture_table(results), "", f"Not compared here: {', '.join(others)}."]
+    lines += ["", lerobot_line(options.out, requests)]
     found: dict[str, Any] = {"conventions": {name: asdict(result) for name, result in results.items()}}
     faults = [f"{name}: {fault}" for name, result in results.items() for fault in result.faults]
     if not options.no_motion:
