@@ -185,3 +185,17 @@ def test_the_example_of_a_test_passes(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
     assert "1 passed" in done.stdout
+
+
+def test_commands_that_reports_print_are_valid(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Test the commands in the pages' templates and scripts; what a page fills in stands for a file."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    found = []
+    for file in sorted((ROOT / "src/roboxim_eval/roboxim_eval/templates").glob("*.*")):
+        for text in re.findall(r"roboxim [a-z][^<\"\\#]*", file.read_text()):
+            words = shlex.split(re.sub(r"\{\{.*?\}\}", "FILE", text))
+            if words[1] in group.list_commands(click.Context(group)):  # else it is prose
+                found.append(shlex.join(words))
+                complaint = refusal([*words[1:], *(["FILE"] if text.endswith(" ") and words[1] == "replay" else [])])
+                assert not complaint or "does not exist" in complaint, f"{file.name}: {shlex.join(words)}: {complaint}"
+    assert {"roboxim up", "roboxim replay"} <= set(found)

@@ -50,7 +50,7 @@
       if (drawn) body.append(made("p", "drawn " + drawn, "soft"));
       if (episode.film) { const go = made("a", "film"); go.href = "#film-" + episode.number; body.append(go); }
       if (episode.bag) {
-        body.append(made("pre", "roboxim up --headless            # in one terminal\nroboxim replay " + episode.bag + "   # in another; from the folder of this page"));
+        body.append(made("pre", "roboxim up                       # in one terminal\nroboxim replay " + episode.bag + "   # in another; from the folder of this page"));
       } else body.append(made("p", "No bag of this episode was recorded.", "soft"));
       details.append(body);
     });
