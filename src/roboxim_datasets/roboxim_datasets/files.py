@@ -87,4 +87,4 @@ def reading(where: object) -> Iterator[None]:
     except Exception as error:  # the content of a file decides what a library raises
         what = error.args[0] if isinstance(error, KeyError) and error.args else error
         kind = "it has no" if isinstance(error, KeyError) else f"{type(error).__name__}:"
-        raise _bad(f"{printable(where)} cannot be read: {kind} {printable(what, 300) or 'no details'}") from None
+        raise _bad(f"{printable(where)} cannot be read: {kind} {printable(what, 300) or 'no details'}") from error

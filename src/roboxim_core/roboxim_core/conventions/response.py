@@ -40,11 +40,13 @@ class ControllerResponse:
         """Check the numbers.
 
         Raises:
-            InvalidRequestError: When neither a file nor two times six numbers are given, or they are out of range.
+            InvalidRequestError: Unless either a name or two times six numbers in range are given.
         """
         for name in ("gain", "lag", "sources"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        if self.name and not self.gain:
+        if self.name and (self.gain or self.lag):
+            raise InvalidRequestError(f"response: give the name '{self.name}', or gain and lag, not both")
+        if self.name:
             return
         if len(self.gain) != COMPONENTS or len(self.lag) != COMPONENTS:
             raise InvalidRequestError(

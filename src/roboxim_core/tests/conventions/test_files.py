@@ -179,3 +179,15 @@ def test_a_window_holds_the_newest_observations(tmp_path):
 def test_the_episode_loop_executes_chunks_as_the_convention_says(text, expected, tmp_path):
     path = written(tmp_path, f"rate_hz: 10\nchunking: {text}")
     assert load_convention(path).chunking.execution == expected
+
+
+def test_a_response_has_a_name_or_numbers_not_both(tmp_path):
+    numbers = "gain: [1, 1, 1, 1, 1, 1], lag: [0, 0, 0, 0, 0, 0]"
+    for response in (f"{{name: robosuite_osc_pose, {numbers}}}", "{gain: [1, 1]}", "{}"):
+        text = f"rate_hz: 20\naction: {{rotation: rotation_vector, response: {response}}}\n"
+        (tmp_path / "own.yaml").write_text(text)
+        with pytest.raises(ConfigError, match="response"):
+            load_convention(str(tmp_path / "own.yaml"))
+    (tmp_path / "own.yaml").write_text("rate_hz: 20\naction: {rotation: rotation_vector, response: {name: nobodys}}\n")
+    with pytest.raises(ConfigError, match="robosuite_osc_pose"):
+        load_convention(str(tmp_path / "own.yaml"))
