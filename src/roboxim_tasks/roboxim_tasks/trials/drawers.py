@@ -62,6 +62,14 @@ class Drawer:
         script.grip(GRASP_OPENING, name="release")
         script.move(retreated(script.pose, APPROACH_M), name="retreat", touching=self.touching)
 
+    def pulled(self, way_m: float) -> Iterator[tuple[Stage, ...]]:
+        """Yield ways to grasp the handle, pull the drawer by a length [m] and leave it."""
+        for grasp in self.grasps:
+            script = self.grasped(grasp)
+            self.move(script, way_m)
+            self.leave(script)
+            yield script.stages
+
 
 def drawer_of(scene: ExpertScene, name: str = "") -> Drawer:
     """Return a drawer by name; without a name, the task's drawer."""
@@ -80,12 +88,7 @@ def drawer_of(scene: ExpertScene, name: str = "") -> Drawer:
 @cheat("open_drawer", reason="not_opened")
 def half_way(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Pull it open by 6 cm."""
-    drawer = drawer_of(scene)
-    for grasp in drawer.grasps:
-        script = drawer.grasped(grasp)
-        drawer.move(script, 0.06)
-        drawer.leave(script)
-        yield script.stages
+    yield from drawer_of(scene).pulled(0.06)
 
 
 @cheat("open_drawer", reason="not_released")
@@ -106,12 +109,7 @@ def stay_round_the_handle(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 def another_drawer(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Open another drawer."""
     other = next(name for name in DRAWERS if name != scene.task.arguments["drawer"])
-    drawer = drawer_of(scene, other)
-    for grasp in drawer.grasps:
-        script = drawer.grasped(grasp)
-        drawer.move(script, 0.12)
-        drawer.leave(script)
-        yield script.stages
+    yield from drawer_of(scene, other).pulled(0.12)
 
 
 @honest("open_drawer", "close_drawer")
@@ -123,12 +121,7 @@ def slowly(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 @honest("open_drawer")
 def farther(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Pull it open by 13.5 cm."""
-    drawer = drawer_of(scene)
-    for grasp in drawer.grasps:
-        script = drawer.grasped(grasp)
-        drawer.move(script, 0.135)
-        drawer.leave(script)
-        yield script.stages
+    yield from drawer_of(scene).pulled(0.135)
 
 
 @honest("open_drawer")

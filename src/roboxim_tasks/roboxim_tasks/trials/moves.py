@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import wraps
+from typing import Any
 
 import numpy as np
 
 from roboxim_core.poses import Pose, distance
 from roboxim_tasks.motion import ExpertScene, Grasp, Stage
-from roboxim_tasks.script import Script
+from roboxim_tasks.script import LIFT_M, Script
 from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.trials.base import Stages
 
 SLOWLY = 0.35
 """Speed of slow trials, as a fraction of the expert's."""
@@ -99,13 +102,34 @@ def about_vertical(pose: Pose, angle_rad: float) -> Pose:
     return Pose.from_arrays(pose.position, Rotation.from_euler("z", angle_rad) * pose.rotation)
 
 
-def ways_with(make: Callable[[Script, Grasp, Pose], object]) -> Callable[[ExpertScene], Iterator[tuple[Stage, ...]]]:
-    """Return a trial that applies a function to each of the skill's own ways to make a script."""
+def each_way(
+    ways: Callable[[ExpertScene], Iterable[tuple[Grasp, Pose]]] = own_ways,
+    *,
+    over: Iterable[Any] = (),
+    lift_m: float = LIFT_M,
+) -> Callable[[Callable[..., object]], Stages]:
+    """Return a decorator that makes a trial of what is done with the target in the hand.
 
-    def ways(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        for grasp, goal in own_ways(scene):
-            script = Script(scene)
-            make(script, grasp, goal)
-            yield script.stages
+    The decorated function adds to a script that has picked up the target. It gets the script, the target's goal pose
+    and, with ``over``, one of the variants.
 
-    return ways
+    Args:
+        ways: Yields the grasps to try, each with the goal pose.
+        over: Variants of each way, tried in this order; empty: one without a variant.
+        lift_m: Height of the lift after the grasp [m]; 0: no lift.
+    """
+    variants = [(variant,) for variant in over] or [()]
+
+    def decorate(act: Callable[..., object]) -> Stages:
+        @wraps(act)
+        def stages(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+            for grasp, goal in ways(scene):
+                for variant in variants:
+                    script = Script(scene)
+                    script.pick("target", grasp, lift_m=lift_m)
+                    act(script, goal, *variant)
+                    yield script.stages
+
+        return stages
+
+    return decorate

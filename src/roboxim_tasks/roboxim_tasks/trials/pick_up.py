@@ -4,44 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from roboxim_core.poses import Pose
 from roboxim_tasks.motion import ExpertScene, Stage, grasps_of
 from roboxim_tasks.script import Script
 from roboxim_tasks.trials.base import cheat, honest
-from roboxim_tasks.trials.moves import around, other_grasps, own_ways, set_aside
+from roboxim_tasks.trials.moves import around, each_way, other_grasps, own_ways, set_aside
 from roboxim_tasks.trials.placing import ASIDE_M, CUBES
 
 
-def picked(scene: ExpertScene, lift_m: float) -> Iterator[Script]:
-    """Yield scripts that pick up the target."""
-    for grasp, _ in own_ways(scene):
-        script = Script(scene)
-        script.pick("target", grasp, lift_m=lift_m)
-        yield script
-
-
 @cheat("pick_up", reason="not_lifted")
-def squeeze(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+@each_way(lift_m=0.0)
+def squeeze(script: Script, goal: Pose) -> None:
     """Grasp it and stay."""
-    for script in picked(scene, 0.0):
-        script.wait(2.0)
-        yield script.stages
+    script.wait(2.0)
 
 
 @cheat("pick_up", reason="not_lifted")
-def lift_a_little(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+@each_way(lift_m=0.04)
+def lift_a_little(script: Script, goal: Pose) -> None:
     """Lift it by 4 cm and hold it there."""
-    for script in picked(scene, 0.04):
-        script.wait(2.0)
-        yield script.stages
+    script.wait(2.0)
 
 
 @cheat("pick_up", reason="not_grasped")
-def lift_and_drop(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+@each_way(lift_m=0.07)
+def lift_and_drop(script: Script, goal: Pose) -> None:
     """Lift it by 7 cm and let go at once."""
-    for script in picked(scene, 0.07):
-        script.grip(1.0, name="open")
-        script.wait(1.0)
-        yield script.stages
+    script.grip(1.0, name="open")
+    script.wait(1.0)
 
 
 @cheat(
@@ -59,22 +49,18 @@ def other_object(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
 
 @honest("pick_up", change=CUBES)
-def other_grasp(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+@each_way(other_grasps, lift_m=0.1)
+def other_grasp(script: Script, goal: Pose) -> None:
     """With the hand turned by 40 degrees or more from how the expert grasps."""
-    for grasp, _ in other_grasps(scene):
-        script = Script(scene)
-        script.pick("target", grasp, lift_m=0.1)
-        script.wait(1.0)
-        yield script.stages
+    script.wait(1.0)
 
 
 @honest("pick_up")
-def high(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+@each_way(lift_m=0.22)
+def high(script: Script, goal: Pose) -> None:
     """Lift it by 22 cm and carry it to the side."""
-    for script in picked(scene, 0.22):
-        script.shift((0.0, 0.08, 0.0), name="aside")
-        script.wait(0.5)
-        yield script.stages
+    script.shift((0.0, 0.08, 0.0), name="aside")
+    script.wait(0.5)
 
 
 @honest("pick_up", change=CUBES)

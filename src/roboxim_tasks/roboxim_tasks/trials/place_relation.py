@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,6 @@ from roboxim_tasks.trials.base import cheat, honest
 from roboxim_tasks.trials.moves import own_ways
 from roboxim_tasks.trials.placing import RELATIONS
 
-CUBES = {"objects": {role: {"models": {"values": ["cube"]}} for role in ("reference", "target")}}
 RED_AND_BLUE = {
     "objects": {
         role: {"models": {"values": ["cube"]}, "modifiers": {"color": {"values": [color]}}}
@@ -42,29 +41,28 @@ def across(toward: Array) -> Array:
     return np.array([-toward[1], toward[0], 0.0])
 
 
-@cheat(*RELATIONS, reason="not_in_direction", change=RED_AND_BLUE)
-def on_the_opposite_side(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Put it on the opposite side."""
-    for length in (0.1, 0.13, 0.08):
-        for slope in (0.0, 0.4, -0.4, 0.9, -0.9):
-            away = -direction(scene) + slope * across(direction(scene))
-            for grasp, _ in own_ways(scene):
-                script = Script(scene)
-                script.pick("target", grasp)
-                script.place(beside(scene, "target", "reference", length * away))
-                yield script.stages
-
-
-@cheat(*RELATIONS, reason="too_far_to_the_side", change=RED_AND_BLUE)
-def diagonally(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Put it as far to the side as in the direction."""
-    for side in (1.2, -1.2):
-        vector = 0.09 * (direction(scene) + side * across(direction(scene)))
+def put_beside(scene: ExpertScene, vectors: Iterable[Array]) -> Iterator[tuple[Stage, ...]]:
+    """Yield ways to put the target at one of some vectors from the reference."""
+    for vector in vectors:
         for grasp, _ in own_ways(scene):
             script = Script(scene)
             script.pick("target", grasp)
             script.place(beside(scene, "target", "reference", vector))
             yield script.stages
+
+
+@cheat(*RELATIONS, reason="not_in_direction", change=RED_AND_BLUE)
+def on_the_opposite_side(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Put it on the opposite side."""
+    away, side, slopes = -direction(scene), across(direction(scene)), (0.0, 0.4, -0.4, 0.9, -0.9)
+    yield from put_beside(scene, (m * (away + slope * side) for m in (0.1, 0.13, 0.08) for slope in slopes))
+
+
+@cheat(*RELATIONS, reason="too_far_to_the_side", change=RED_AND_BLUE)
+def diagonally(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Put it as far to the side as in the direction."""
+    toward = direction(scene)
+    yield from put_beside(scene, (0.09 * (toward + slope * across(toward)) for slope in (1.2, -1.2)))
 
 
 @cheat(*RELATIONS, reason="moved_reference", change=RED_AND_BLUE)
@@ -83,11 +81,5 @@ def move_the_reference(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 @honest(*RELATIONS, change=RED_AND_BLUE)
 def slanting(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Put it farther away than the expert does, and a little to the side."""
-    for length in (0.15, 0.12, 0.18, 0.1):
-        for side in (0.5, -0.5, 0.3, -0.3):
-            vector = length * (direction(scene) + side * across(direction(scene)))
-            for grasp, _ in own_ways(scene):
-                script = Script(scene)
-                script.pick("target", grasp)
-                script.place(beside(scene, "target", "reference", vector))
-                yield script.stages
+    toward, side, slopes = direction(scene), across(direction(scene)), (0.5, -0.5, 0.3, -0.3)
+    yield from put_beside(scene, (m * (toward + slope * side) for m in (0.15, 0.12, 0.18, 0.1) for slope in slopes))

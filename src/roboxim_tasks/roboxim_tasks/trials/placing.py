@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from roboxim_core.poses import Pose
 from roboxim_tasks.motion import TABLE, ExpertScene, Stage
 from roboxim_tasks.script import Script
 from roboxim_tasks.trials.base import cheat, honest
-from roboxim_tasks.trials.moves import around, caging, other_grasps, own_stages, own_ways, set_aside, slowed
+from roboxim_tasks.trials.moves import around, caging, each_way, other_grasps, own_stages, own_ways, set_aside, slowed
 
 RELATIONS = ("place_left_of", "place_right_of", "place_in_front_of", "place_behind")
 PLACING = ("place_on", *RELATIONS, "stack")
@@ -29,23 +30,17 @@ def lowest_m(scene: ExpertScene) -> float:
 
 
 @cheat(*PLACING, "rotate", reason="dropped", change=CUBES)
-def drop(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+@each_way()
+def drop(script: Script, goal: Pose) -> None:
     """Let go of it 20 cm above where it is to be."""
-    for grasp, goal in own_ways(scene):
-        script = Script(scene)
-        script.pick("target", grasp)
-        script.place(goal, onto=onto(scene), drop_m=0.2)
-        yield script.stages
+    script.place(goal, onto=onto(script.scene), drop_m=0.2)
 
 
 @cheat(*PLACING, "rotate", "put_into", reason="still_held", change=CUBES)
-def cage(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+@each_way()
+def cage(script: Script, goal: Pose) -> None:
     """Put it down and open the fingers, but stay around it."""
-    for grasp, goal in own_ways(scene):
-        script = Script(scene)
-        script.pick("target", grasp)
-        caging(script, "target", goal, onto(scene))
-        yield script.stages
+    caging(script, "target", goal, onto(script.scene))
 
 
 @honest(*PLACING, "rotate", "put_into", "pick_up", "turn_upright")
@@ -55,23 +50,17 @@ def slowly(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
 
 @honest(*PLACING, "rotate", "put_into", change=CUBES)
-def other_grasp(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+@each_way(other_grasps)
+def other_grasp(script: Script, goal: Pose) -> None:
     """With the hand turned by 40 degrees or more from how the expert grasps."""
-    for grasp, goal in other_grasps(scene):
-        script = Script(scene)
-        script.pick("target", grasp)
-        script.place(goal, onto=onto(scene), drop_m=lowest_m(scene))
-        yield script.stages
+    script.place(goal, onto=onto(script.scene), drop_m=lowest_m(script.scene))
 
 
 @honest(*PLACING, "rotate", "put_into", change=CUBES)
-def from_above(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+@each_way()
+def from_above(script: Script, goal: Pose) -> None:
     """Let go of it 2.5 cm above where it is to be."""
-    for grasp, goal in own_ways(scene):
-        script = Script(scene)
-        script.pick("target", grasp)
-        script.place(goal, onto=onto(scene), drop_m=0.025)
-        yield script.stages
+    script.place(goal, onto=onto(script.scene), drop_m=0.025)
 
 
 @honest(*PLACING, "rotate", "put_into", change=CUBES)

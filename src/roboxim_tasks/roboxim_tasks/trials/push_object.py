@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 
 from roboxim_core.poses import Array, Pose
 from roboxim_tasks.motion import TABLE, ExpertScene, Stage, fingers_touch, grasps_of, shifted
@@ -35,9 +36,12 @@ def push(script: Script, begin: Pose, length_m: float) -> None:
     script.move(shifted(script.pose, APPROACH_M), name="rise", touching=touching)
 
 
-def starts(scene: ExpertScene) -> list[tuple[Pose, float]]:
-    """Return the poses from which the expert would push, with the gripper's openings."""
-    return list(pushing_poses(scene.model_of("target"), scene.pose_of("target"), direction(scene)))
+def starts(scene: ExpertScene) -> Iterator[tuple[Script, Pose]]:
+    """Yield scripts with the gripper's opening, each with a pose from which the expert would push."""
+    for pose, opening in pushing_poses(scene.model_of("target"), scene.pose_of("target"), direction(scene)):
+        script = Script(scene)
+        script.opening = opening
+        yield script, pose
 
 
 def full_way(scene: ExpertScene) -> float:
@@ -71,9 +75,7 @@ def drag(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 @cheat("push_object", reason="not_pushed")
 def too_short(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Push it by half the way."""
-    for begin, opening in starts(scene):
-        script = Script(scene)
-        script.opening = opening
+    for script, begin in starts(scene):
         push(script, begin, full_way(scene) - 0.06)
         yield script.stages
 
@@ -81,11 +83,9 @@ def too_short(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 @cheat("push_object", reason="still_held", change=CUBES)
 def stay_at_it(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Push it there and leave the fingers at it."""
-    for begin, opening in starts(scene):
-        script = Script(scene)
-        script.opening = opening
+    for script, begin in starts(scene):
         push(script, begin, full_way(scene))
-        yield (*without(script.stages, "back_off", "rise"), Stage(name="stay", opening=opening, duration_s=2.0))
+        yield (*without(script.stages, "back_off", "rise"), Stage(name="stay", opening=script.opening, duration_s=2.0))
 
 
 @honest("push_object")
@@ -97,10 +97,8 @@ def slowly(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 @honest("push_object", change=CUBES)
 def with_the_closed_hand(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Push with the back of a finger of the closed gripper."""
-    for begin, opening in starts(scene):
-        if opening == 0.0:
-            script = Script(scene)
-            script.opening = opening
+    for script, begin in starts(scene):
+        if script.opening == 0.0:
             push(script, begin, full_way(scene))
             yield script.stages
 
@@ -108,9 +106,7 @@ def with_the_closed_hand(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 @honest("push_object", change=CUBES)
 def in_two_pushes(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Push it half the way, withdraw, and push it the rest."""
-    for begin, opening in starts(scene):
-        script = Script(scene)
-        script.opening = opening
+    for script, begin in starts(scene):
         half = full_way(scene) / 2
         push(script, begin, half)
         push(script, along(begin, direction(scene), half), half)
@@ -120,8 +116,6 @@ def in_two_pushes(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 @honest("push_object", change=CUBES)
 def low(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Push it 6 mm lower down than the expert does, with the fingers leaning back."""
-    for begin, opening in starts(scene)[4:]:
-        script = Script(scene)
-        script.opening = opening
+    for script, begin in islice(starts(scene), 4, None):
         push(script, replace(begin, position=(*begin.position[:2], begin.position[2] - 0.006)), full_way(scene))
         yield script.stages

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from roboxim_core.poses import Pose
 from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage
 from roboxim_tasks.script import Script
 from roboxim_tasks.skills.base import parameters_of
 from roboxim_tasks.skills.rotate import RotateParameters
 from roboxim_tasks.trials.base import cheat, honest
-from roboxim_tasks.trials.moves import about_vertical, around, displaced, own_ways
+from roboxim_tasks.trials.moves import about_vertical, around, displaced, each_way, own_ways
 from roboxim_tasks.trials.placing import CUBES
 
 STANDING = {"objects": {"target": {"models": {"values": ["bottle", "soda_can"]}}}}
@@ -41,32 +42,25 @@ def the_other_way(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
 
 @cheat("rotate", reason="moved_away", change=CUBES)
-def elsewhere(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+@each_way(over=around(0.08))
+def elsewhere(script: Script, goal: Pose, away: tuple[float, float]) -> None:
     """Turn it, but put it down 8 cm from where it was."""
-    for grasp, goal in own_ways(scene):
-        for x, y in around(0.08):
-            script = Script(scene)
-            script.pick("target", grasp)
-            script.place(displaced(goal, x, y))
-            yield script.stages
+    script.place(displaced(goal, *away))
 
 
 @cheat("rotate", reason="toppled", change=STANDING)
-def turn_and_topple(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+@each_way()
+def turn_and_topple(script: Script, goal: Pose) -> None:
     """Turn it, let go, and knock it over with a finger."""
-    for grasp, goal in own_ways(scene):
-        script = Script(scene)
-        script.pick("target", grasp)
-        at = goal @ script.held_in_tcp.inverse()
-        script.carry(at)
-        script.move(displaced(at, z=0.002), name="lower", speed=0.6, touching=(("target", TABLE),))
-        script.grip(1.0, name="open")
-        script.move(displaced(script.pose, z=0.02), name="to_its_top", speed=0.6)
-        sideways = script.pose.rotation.apply((0.0, 0.12, 0.0))
-        script.move(displaced(script.pose, *sideways.tolist()), name="knock")
-        script.move(displaced(script.pose, z=0.12), name="rise")
-        script.wait(2.0)
-        yield script.stages
+    at = goal @ script.held_in_tcp.inverse()
+    script.carry(at)
+    script.move(displaced(at, z=0.002), name="lower", speed=0.6, touching=(("target", TABLE),))
+    script.grip(1.0, name="open")
+    script.move(displaced(script.pose, z=0.02), name="to_its_top", speed=0.6)
+    sideways = script.pose.rotation.apply((0.0, 0.12, 0.0))
+    script.move(displaced(script.pose, *sideways.tolist()), name="knock")
+    script.move(displaced(script.pose, z=0.12), name="rise")
+    script.wait(2.0)
 
 
 @honest("rotate", change=CUBES)
