@@ -20,7 +20,6 @@ from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Pose
 from roboxim_planner import native
-from roboxim_planner.collisions.broadphase import LinkGroup
 from roboxim_planner.collisions.covers import cover_box, cover_hull, cover_round
 from roboxim_planner.collisions.geometry import convex_hull, mesh_points
 
@@ -102,14 +101,10 @@ class PlannerRobot:
         self._add_close_pairs(robot)
         self.item_links = tuple(self.model.frames[item.parentFrame].name for item in self.geometry.geometryObjects)
         """Link of each collision shape."""
-        self.item_joints = tuple(self._moves_with(item.parentJoint) for item in self.geometry.geometryObjects)
-        """Index of the arm joint that each collision shape moves with; -1: none."""
         self.self_pairs = tuple((pair.first, pair.second) for pair in self.geometry.collisionPairs)
         """Pairs of collision shapes that may not touch."""
         self.scratch = self.model.createData()
         self._shapes = lru_cache(maxsize=16)(self._link_shapes)
-        self.link_group = lru_cache(maxsize=16)(self._link_group)
-        """Broad phase of a subset of the shapes, given by index, with the checked pairs among them."""
 
     def _load_geometry(self, robot: RobotModel) -> pin.GeometryModel:
         folders = [str(folder) for folder in robot.urdf.resolve().parents]
@@ -123,9 +118,6 @@ class PlannerRobot:
         geometry.addAllCollisionPairs()
         pin.removeCollisionPairs(self.model, geometry, str(robot.srdf))
         return geometry
-
-    def _link_group(self, items: tuple[int, ...], pairs: tuple[tuple[int, int], ...] = ()) -> LinkGroup:
-        return LinkGroup(self.model, (self.geometry.geometryObjects[i] for i in items), pairs)
 
     def _add_close_pairs(self, robot: RobotModel) -> None:
         """Add the parts of close pairs to the geometry."""

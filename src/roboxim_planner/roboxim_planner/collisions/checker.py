@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import NamedTuple
 
 import coal
@@ -54,7 +54,7 @@ class CollisionWorld:
         self.padding = padding
         self._rules = ContactRules(robot, scene)
         self._placed = placed_shapes(scene)
-        self._coal: list[ContactModel] = []
+        self._coal = cache(lambda: ContactModel(robot, scene, self._rules))
         self._margins: dict[float, native.Margins] = {}
         self._eased: Array | None = None
         self.upright = upright
@@ -141,10 +141,8 @@ class CollisionWorld:
 
     @property
     def coal(self) -> ContactModel:
-        """The same scene in coal; built on first use."""
-        if not self._coal:
-            self._coal.append(ContactModel(self.robot, self.scene, self._rules, self._placed))
-        return self._coal[0]
+        """The same scene in coal; built on first use and shared by all paddings."""
+        return self._coal()
 
     def contacts(self, joints: npt.ArrayLike) -> tuple[ContactPair, ...]:
         """Return the pairs that touch at an arm configuration, deepest first, one per pair of names."""

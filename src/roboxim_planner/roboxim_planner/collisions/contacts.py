@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import coal
 import numpy as np
@@ -13,8 +12,7 @@ import pinocchio as pin
 
 from roboxim_core.errors import InvalidRequestError, one_of
 from roboxim_core.poses import Vec3
-from roboxim_planner.collisions.broadphase import BodyGroup, LinkGroup
-from roboxim_planner.collisions.geometry import PlacedShape, convex_hull, make_shape
+from roboxim_planner.collisions.geometry import convex_hull, make_shape
 from roboxim_planner.robot import PlannerRobot, se3
 from roboxim_planner.scene import GRIPPER, ROBOT, AllowedContact, Body, BodyShape, PlanningScene, TriangleMesh
 
@@ -85,110 +83,19 @@ class ContactRules:
 
 
 class ContactModel:
-    """The robot among the bodies of one scene, in coal. Not thread-safe."""
+    """The robot among the bodies of one scene in coal: a geometry model with explicit pairs. Not thread-safe."""
 
-    def __init__(
-        self, robot: PlannerRobot, scene: PlanningScene, rules: ContactRules, placed: Sequence[PlacedShape]
-    ) -> None:
+    def __init__(self, robot: PlannerRobot, scene: PlanningScene, rules: ContactRules) -> None:
         """Build the geometry of a scene.
 
         Args:
             robot: The robot.
             scene: The bodies around it.
             rules: Which pairs are checked.
-            placed: Parts of the scene's bodies.
 
         Raises:
             InvalidRequestError: On a hull without volume.
         """
-        self._robot = robot
-        self._scene = scene
-        self._rules = rules
-        self._placed = [(part.body, (make_shape(part.shape), part.pose)) for part in placed]
-        self._scratch = robot.scratch
-        self._q = robot.full(np.zeros(robot.dof), scene.gripper_opening)
-        pairs = tuple(
-            (first, second)
-            for first, second in robot.self_pairs
-            if not scene.allowed or rules.checks(robot.item_links[first], robot.item_links[second])
-        )
-        self._own = robot.link_group(tuple(range(len(robot.item_links))), pairs)
-        self._apart = list(self._groups())
-
-    def _groups(self) -> Iterator[tuple[LinkGroup, LinkGroup | BodyGroup]]:
-        """Yield groups of shapes that must stay apart: links against bodies, held bodies against bodies and links."""
-        robot, rules, scene, placed = self._robot, self._rules, self._scene, self._placed
-        moving = [i for i in range(robot.whole_shapes) if robot.item_joints[i] >= 0]
-        rests: dict[tuple[bool, ...], BodyGroup] = {}
-
-        def resting(name: str) -> tuple[bool, ...]:
-            if not scene.allowed:
-                return (True,) * len(placed)
-            return tuple(rules.checks(name, body) for body, _ in placed)
-
-        def among(rows: Iterable[tuple[bool, ...]]) -> Iterator[tuple[tuple[bool, ...], BodyGroup]]:
-            for row in dict.fromkeys(rows):
-                if any(row):
-                    if row not in rests:
-                        rests[row] = BodyGroup(
-                            [item for (_, item), checked in zip(placed, row, strict=True) if checked]
-                        )
-                    yield row, rests[row]
-
-        rows = [resting(robot.item_links[i]) for i in moving]
-        for row, bodies in among(rows):
-            yield robot.link_group(tuple(i for i, own in zip(moving, rows, strict=True) if own == row)), bodies
-        for held in scene.attached:
-            group = LinkGroup(robot.model, self._held_items(held.body))
-            yield from ((group, bodies) for _, bodies in among([resting(held.body.name)]))
-            names = robot.item_links[: robot.whole_shapes]
-            links = tuple(i for i, link in enumerate(names) if rules.checks(link, held.body.name))
-            if links:
-                yield group, robot.link_group(links)
-
-    def _held_items(self, body: Body) -> Iterator[pin.GeometryObject]:
-        tcp = self._robot.model.frames[self._robot.tcp_frame]
-        placement = tcp.placement * se3(body.pose)
-        for i, shape in enumerate(body.shapes):
-            yield pin.GeometryObject(
-                f"{body.name}#{i}", tcp.parentJoint, 0, placement * se3(shape.pose), held_shape(shape)
-            )
-
-    def is_free(self, joints: Array) -> bool:
-        """Tell whether an arm configuration of shape (dof,) touches nothing."""
-        self._q[self._robot.arm_indices] = joints
-        if not self._own.is_apart_at(self._scratch, self._q):
-            return False
-        for group in self._moved:
-            group.place(self._scratch)
-        for group, other in self._apart:  # noqa: SIM110 (half the time of all(...))
-            if not group.is_apart_from(other):
-                return False
-        return True
-
-    @cached_property
-    def _moved(self) -> list[LinkGroup]:
-        groups = [group for pair in self._apart for group in pair if isinstance(group, LinkGroup)]
-        return list(dict.fromkeys(groups))
-
-    @cached_property
-    def _pairs(self) -> _PairModel:
-        return _PairModel(self._robot, self._scene, self._rules)
-
-    def contacts(self, joints: Array, padding: float = 0.0) -> tuple[ContactPair, ...]:
-        """Return every pair that touches at an arm configuration, deepest first, one per pair of names.
-
-        Args:
-            joints: Arm configuration, shape (dof,) [rad].
-            padding: Distance from obstacles below which they count as touching [m].
-        """
-        return self._pairs.contacts(joints, padding)
-
-
-class _PairModel:
-    """The same scene as one geometry model with explicit pairs of shapes: slow to build, but it says what touches."""
-
-    def __init__(self, robot: PlannerRobot, scene: PlanningScene, rules: ContactRules) -> None:
         self._robot = robot
         self._scene = scene
         self._base = se3(scene.robot_pose)
@@ -197,10 +104,10 @@ class _PairModel:
         own = len(self._names)
         to_base = self._base.inverse()
         for body in scene.bodies:
-            self._add(body, _WORLD_JOINT, to_base * se3(body.pose), held=False)
+            self._add(body, _WORLD_JOINT, to_base * se3(body.pose), make_shape)
         tcp = robot.model.frames[robot.tcp_frame]
         for held in scene.attached:
-            self._add(held.body, tcp.parentJoint, tcp.placement * se3(held.body.pose), held=True)
+            self._add(held.body, tcp.parentJoint, tcp.placement * se3(held.body.pose), held_shape)
         fixed = [item.parentJoint == _WORLD_JOINT for item in self._model.geometryObjects]
         for i in range(own, len(self._names)):
             for j in (*range(robot.whole_shapes), *range(own, i)):
@@ -209,12 +116,16 @@ class _PairModel:
         for pair in list(robot.geometry.collisionPairs) if scene.allowed else ():
             if not rules.checks(self._names[pair.first], self._names[pair.second]):
                 self._model.removeCollisionPair(pair)
+        flat = {i for i, item in enumerate(self._model.geometryObjects) if _is_flat_mesh(item.geometry)}
+        self._flat = [k for k, p in enumerate(self._model.collisionPairs) if {p.first, p.second} & flat]
+        """Pairs with a flat mesh: coal's `collide` misses their contacts, its `distance` does not."""
         self._data = self._model.createData()
 
-    def _add(self, body: Body, joint: int, placement: pin.SE3, *, held: bool) -> None:
+    def _add(
+        self, body: Body, joint: int, placement: pin.SE3, make: Callable[[BodyShape], coal.CollisionGeometry]
+    ) -> None:
         for i, shape in enumerate(body.shapes):
-            made = held_shape(shape) if held else make_shape(shape)
-            item = pin.GeometryObject(f"{body.name}#{i}", joint, 0, placement * se3(shape.pose), made)
+            item = pin.GeometryObject(f"{body.name}#{i}", joint, 0, placement * se3(shape.pose), make(shape))
             self._names.append(body.name)
             self._model.addGeometryObject(item)
 
@@ -222,7 +133,20 @@ class _PairModel:
         pin.computeDistance(self._model, self._data, pair)
         return float(self._data.distanceResults[pair].min_distance)
 
-    def contacts(self, joints: Array, padding: float) -> tuple[ContactPair, ...]:
+    def is_free(self, joints: Array) -> bool:
+        """Tell whether an arm configuration of shape (dof,) touches nothing."""
+        q = self._robot.full(joints, self._scene.gripper_opening)
+        if pin.computeCollisions(self._robot.model, self._robot.scratch, self._model, self._data, q, True):
+            return False
+        return all(self._distance(pair) > 0.0 for pair in self._flat)
+
+    def contacts(self, joints: Array, padding: float = 0.0) -> tuple[ContactPair, ...]:
+        """Return every pair that touches at an arm configuration, deepest first, one per pair of names.
+
+        Args:
+            joints: Arm configuration, shape (dof,) [rad].
+            padding: Distance from obstacles below which they count as touching [m].
+        """
         q = self._robot.full(joints, self._scene.gripper_opening)
         pin.updateGeometryPlacements(self._robot.model, self._robot.scratch, self._model, self._data, q)
         deepest: dict[tuple[str, str], ContactPair] = {}
@@ -241,6 +165,13 @@ class _PairModel:
             if names not in deepest or found.depth > deepest[names].depth:
                 deepest[names] = found
         return tuple(sorted(deepest.values(), key=lambda c: (-c.depth, c.body_a, c.body_b)))
+
+
+def _is_flat_mesh(shape: coal.CollisionGeometry) -> bool:
+    if not isinstance(shape, coal.BVHModelBase):
+        return False
+    box = shape.aabb_local
+    return float(min(box.width(), box.height(), box.depth())) < 1e-6
 
 
 def held_shape(shape: BodyShape) -> coal.CollisionGeometry:
