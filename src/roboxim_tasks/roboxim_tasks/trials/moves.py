@@ -118,7 +118,7 @@ def each_way(
         over: Variants of each way, tried in this order; empty: one without a variant.
         lift_m: Height of the lift after the grasp [m]; 0: no lift.
     """
-    variants = [(variant,) for variant in over] or [()]
+    variants: list[tuple[Any, ...]] = [(variant,) for variant in over] or [()]
 
     def decorate(act: Callable[..., object]) -> Stages:
         @wraps(act)
