@@ -16,11 +16,12 @@ from roboxim_cli.commands.data._dataset_corrupt import command as corrupt_comman
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError, SimError
+from roboxim_recorder.export.rlds import export_rlds
 from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.run_bags import list_bags
 from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
 from roboxim_runs.datasets.corruption import corrupt, fault_kinds
-from roboxim_runs.datasets.export import ExportConfig, Hdf5Config, export_dataset, export_rlds
+from roboxim_runs.datasets.export import ExportConfig, Hdf5Config, export_dataset
 from roboxim_runs.episodes.reenactment import Recorded, Reenactor
 
 TASKS = Path(__file__).parents[1] / "config" / "tasks"

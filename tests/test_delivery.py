@@ -24,8 +24,8 @@ from roboxim_policies.reworded import RewordedPolicy
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.edited import copy_edited
+from roboxim_recorder.export.rlds import ExportConfig, export_rlds
 from roboxim_recorder.run_bags import list_bags
-from roboxim_runs.datasets.export import ExportConfig, export_rlds
 from roboxim_runs.episodes.reenactment import Recorded, Reenactor
 from roboxim_runs.experiments.delivery.demands import demands_of
 from roboxim_runs.experiments.delivery.proving import (

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from roboxim_recorder.export.rlds import ExportConfig
-from roboxim_runs.datasets.export import export_rlds
+from roboxim_recorder.export.rlds import ExportConfig, export_rlds
 from roboxim_runs.datasets.rewriting import merge_datasets
 from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.evaluation.run import EvaluationConfig, evaluate

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
-from roboxim_runs.executors.protocol import CancelledError
+from roboxim_runs.executors.protocol import Cancellation, CancelledError
 
 if TYPE_CHECKING:
     from roboxim_core.episode import EpisodeResult
@@ -128,6 +128,82 @@ OnEvent = Callable[[Event], None]
 
 def ignore(_: Event) -> None:
     """Ignore an event."""
+
+
+class ReportProgress(Protocol):
+    """Reports the progress of a stage."""
+
+    def __call__(self, done: int, total: int = 0, note: str = "") -> None:
+        """Report progress.
+
+        Args:
+            done: Units done.
+            total: Units in all; 0: as the stage began.
+            note: A short note.
+
+        Raises:
+            CancelledError: When the run was cancelled.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Reporter:
+    """Reports the stages of a run, and ends the run when it is cancelled."""
+
+    on_event: OnEvent = ignore
+    """Receives the events."""
+    cancellation: Cancellation | None = None
+    """Ends the run when it is set."""
+
+    def require_wanted(self) -> None:
+        """Raise when the run was cancelled.
+
+        Raises:
+            CancelledError: When it was.
+        """
+        if self.cancellation is not None and self.cancellation.is_set():
+            raise CancelledError("the run was cancelled")
+
+    def notice(self, text: str) -> None:
+        """Report a message for the user; an empty text reports nothing."""
+        if text:
+            self.on_event(Notice(text=text))
+
+    @contextmanager
+    def stage(self, title: str, total: int = 1, unit: str = "", done: int = 0) -> Iterator[ReportProgress]:
+        """Report the start of a stage, and its end when the block ends without an error.
+
+        Args:
+            title: Title of the stage, a few words.
+            total: Total number of units; 1 while it is unknown.
+            unit: Unit of the count; empty: as the title names.
+            done: Units done before.
+
+        Yields:
+            Reports progress.
+        """
+
+        def progress(done: int, total: int = total, note: str = "") -> None:
+            self.on_event(StageProgress(done=done, total=total, note=note))
+            self.require_wanted()
+
+        self.on_event(StageStarted(title=title, total=total, done=done, unit=unit))
+        yield progress
+        self.on_event(StageFinished())
+
+    @contextmanager
+    def resumable(self, state: str | Callable[[], str]) -> Iterator[None]:
+        """Report `Interrupted` when Ctrl-C or a cancellation ends the block; the exception still propagates.
+
+        Args:
+            state: Description of the finished work, or how to go on; a function is called when the block ends.
+        """
+        try:
+            yield
+        except (KeyboardInterrupt, CancelledError):
+            self.on_event(Interrupted(text=state if isinstance(state, str) else state()))
+            raise
 
 
 @contextmanager

@@ -32,15 +32,8 @@ from roboxim_recorder.run_bags import run_bags
 from roboxim_runs.datasets.audit import holds_bags
 from roboxim_runs.datasets.simulated_faults import SIMULATED_FAULTS
 from roboxim_runs.episodes.reenactment import Recorded, Reenactor
-from roboxim_runs.events import (
-    OnEvent,
-    StageFinished,
-    StageProgress,
-    StageStarted,
-    ignore,
-    telling_interruption,
-)
-from roboxim_runs.executors import Cancellation, CancelledError
+from roboxim_runs.events import OnEvent, Reporter, ignore
+from roboxim_runs.executors import Cancellation
 from roboxim_runs.storage.folder import checked_path
 
 
@@ -143,10 +136,9 @@ def corrupt(
     if out.exists():
         raise RecorderError(f"{out} exists; choose another folder", ErrorCode.EXPORT_REFUSED)
     try:
-        with telling_interruption(on_event, lambda: "nothing is left; the same call or command starts again"):
-            planter = _Planting(
-                fault=fault, rate=rate, seed=seed, link=link, on_event=on_event, cancellation=cancellation
-            )
+        reporter = Reporter(on_event, cancellation)
+        with reporter.resumable("nothing is left; the same call or command starts again"):
+            planter = _Planting(fault=fault, rate=rate, seed=seed, link=link, reporter=reporter)
             planted, refused = planter.bags(source, out) if of_bags else planter.dataset(source, out)
     except BaseException:
         shutil.rmtree(out, ignore_errors=True)
@@ -168,26 +160,22 @@ class _Planting:
     rate: float
     seed: int
     link: bool
-    on_event: OnEvent
-    cancellation: Cancellation | None
+    reporter: Reporter
 
     def _choose(
         self, names: Sequence[str], plant: Callable[[str, np.random.Generator], str]
     ) -> tuple[dict[str, str], list[str]]:
-        total, done = max(1, round(self.rate * len(names))), 0
+        done = 0
 
         def counted(name: str, rng: np.random.Generator) -> str:
             nonlocal done
-            if self.cancellation is not None and self.cancellation.is_set():
-                raise CancelledError("the corruption was cancelled")
             text = plant(name, rng)
             done += bool(text)
-            self.on_event(StageProgress(done=done, total=total))
+            progress(done)
             return text
 
-        self.on_event(StageStarted(title="planting", total=total, unit="episodes"))
-        chosen = choose(names, self.rate, self.seed, counted)
-        self.on_event(StageFinished())
+        with self.reporter.stage("planting", max(1, round(self.rate * len(names))), "episodes") as progress:
+            chosen = choose(names, self.rate, self.seed, counted)
         return chosen.done, chosen.refused
 
     # -------------------------------------------------------------- bags

@@ -15,16 +15,8 @@ from roboxim_recorder.export import ExportReport, Selection, export_bags
 from roboxim_recorder.export.hdf5 import Hdf5Config
 from roboxim_recorder.export.lerobot import LeRobotConfig
 from roboxim_recorder.export.rlds import ExportConfig
-from roboxim_runs.events import (
-    Notice,
-    OnEvent,
-    StageFinished,
-    StageProgress,
-    StageStarted,
-    ignore,
-    telling_interruption,
-)
-from roboxim_runs.executors import Cancellation, CancelledError
+from roboxim_runs.events import OnEvent, Reporter, ignore
+from roboxim_runs.executors import Cancellation
 from roboxim_runs.storage.folder import RUN_FILE, RunFolder, checked_path, command_of
 
 REPLAY_FILE = "replay.json"
@@ -41,7 +33,6 @@ __all__ = [
     "Hdf5Config",
     "LeRobotConfig",
     "export_dataset",
-    "export_rlds",
     "unfinished",
 ]
 
@@ -87,20 +78,16 @@ def export_dataset(
     """
     checked_path(target)
     sources = [Path(source)] if isinstance(source, str | Path) else [Path(path) for path in source]
+    reporter = Reporter(on_event, cancellation)
     for note in filter(None, map(unfinished, sources)):
-        on_event(Notice(text=f"{note}; later episodes need another export with --overwrite or overwrite=True"))
-
-    def progress(done: int, total: int) -> None:
-        if cancellation is not None and cancellation.is_set():
-            raise CancelledError("the export was cancelled")
-        on_event(StageProgress(done=done, total=total))
+        reporter.notice(f"{note}; later episodes need another export with --overwrite or overwrite=True")
 
     def export(place: Path, if_exists: IfExists) -> ExportReport:
-        with telling_interruption(on_event, lambda: "the same call or command continues the export"):
-            on_event(StageStarted(title="exporting", total=1, unit="episodes"))
-            report = export_bags(name, sources, place, config, if_exists=if_exists, workers=workers, progress=progress)
-            on_event(StageFinished())
-        return report
+        with (
+            reporter.resumable("the same call or command continues the export"),
+            reporter.stage("exporting", unit="episodes") as progress,
+        ):
+            return export_bags(name, sources, place, config, if_exists=if_exists, workers=workers, progress=progress)
 
     def refusal(dataset: Path) -> str:
         from roboxim_runs.datasets.replay_gate import replay_dataset  # imports the simulator
@@ -110,7 +97,7 @@ def export_dataset(
         )
         folder = dataset if dataset.is_dir() else dataset.parent
         write_whole(folder / REPLAY_FILE, replayed.to_json())
-        on_event(Notice(text="\n".join(list(replayed.lines)[1:])))
+        reporter.notice("\n".join(list(replayed.lines)[1:]))
         return replayed.refusal
 
     if gate:
@@ -167,21 +154,6 @@ def _move(new: Path, place: Path) -> None:
         place.rename(old)
     new.replace(place)
     shutil.rmtree(old, ignore_errors=True)
-
-
-def export_rlds(
-    source: Path | str | Sequence[Path | str],
-    target: Path | str,
-    config: ExportConfig | None = None,
-    *,
-    overwrite: bool = False,
-    on_event: OnEvent = ignore,
-    cancellation: Cancellation | None = None,
-) -> ExportReport:
-    """Export as RLDS, loadable by TensorFlow Datasets, Octo and OpenVLA; see `export_dataset`."""
-    return export_dataset(
-        "rlds", source, target, config, overwrite=overwrite, on_event=on_event, cancellation=cancellation
-    )
 
 
 def unfinished(source: Path) -> str:

@@ -28,7 +28,7 @@ from roboxim_core.actions import ActionArray
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.conventions import Convention
 from roboxim_core.episode import JudgePort
-from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, UnavailableError
+from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import distance
 from roboxim_core.state import StateRecord
@@ -39,25 +39,8 @@ from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import PLACES, REPAIRED
 from roboxim_runs.datasets.action_decoding import ActionDecoder, dataset_convention
 from roboxim_runs.episodes.reexecution import CoreJudge, PhysicsPort, PhysicsSim, execute
-from roboxim_runs.events import (
-    Notice,
-    OnEvent,
-    StageFinished,
-    StageProgress,
-    StageStarted,
-    ignore,
-    telling_interruption,
-)
-from roboxim_runs.executors import (
-    Cancellation,
-    Done,
-    Executor,
-    InlineExecutor,
-    Job,
-    LocalExecutor,
-    Note,
-    Work,
-)
+from roboxim_runs.events import OnEvent, Reporter, ignore
+from roboxim_runs.executors import Cancellation, Executor, Job, Work, run_required
 
 REQUIRED = 0.95
 """Part of the successes that an export must retain."""
@@ -416,7 +399,8 @@ def replay_dataset(
     finder = BagFinder(dataset.path, [Path(place) for place in bags])
     found: dict[int, EpisodeReplay] = {}
     jobs = []
-    with telling_interruption(on_event, lambda: "a replay writes nothing; start it again"):
+    reporter = Reporter(on_event, cancellation)
+    with reporter.resumable("a replay writes nothing; start it again"):
         for number in numbers:
             split, index = dataset.place(number)
             episode = dataset.episode(number)
@@ -426,43 +410,20 @@ def replay_dataset(
             else:
                 data = {"split": split, "index": index, "bag": str(bag.resolve())}
                 jobs.append(Job(key=str(number), data=data))
-        on_event(StageStarted(title="replaying", total=len(numbers), done=len(found), unit="episodes"))
-        for number, replayed in _replayed(dataset, jobs, labels, workers, executor, cancellation, on_event):
-            found[number] = replayed
-            on_event(StageProgress(done=len(found), total=len(numbers)))
-        on_event(StageFinished())
+        work = Work(
+            worker="roboxim_runs.datasets.replay_gate:ReplayWorker",
+            settings={"dataset": str(dataset.path.resolve()), "format": dataset.format, "labels": labels},
+        )
+        with reporter.stage("replaying", len(numbers), "episodes", len(found)) as progress:
+            for replayed in run_required(
+                work, jobs, lost="episode {} was not replayed", executor=executor, workers=workers,
+                on_note=lambda note: reporter.notice(note.text), cancellation=cancellation,
+            ):  # fmt: skip
+                found[int(replayed.key)] = from_plain(replayed.value, EpisodeReplay)
+                progress(len(found))
     return ReplayReport(
         path=dataset.path, format=dataset.format, episodes=tuple(found[number] for number in sorted(found))
     )
-
-
-def _replayed(
-    dataset: Dataset,
-    jobs: Sequence[Job],
-    labels: bool,
-    workers: int,
-    executor: Executor | None,
-    cancellation: Cancellation | None,
-    on_event: OnEvent,
-) -> Iterator[tuple[int, EpisodeReplay]]:
-    """Yield number and result of each episode as it is done."""
-
-    def hear(note: Note) -> None:
-        if note.text:
-            on_event(Notice(text=note.text))
-
-    work = Work(
-        worker="roboxim_runs.datasets.replay_gate:ReplayWorker",
-        settings={"dataset": str(dataset.path.resolve()), "format": dataset.format, "labels": labels},
-    )
-    if executor is None:
-        executor = LocalExecutor(min(workers, len(jobs))) if min(workers, len(jobs)) > 1 else InlineExecutor()
-    if not jobs:
-        return
-    for outcome in executor.run(work, jobs, on_note=hear, cancellation=cancellation):
-        if not isinstance(outcome, Done):
-            raise UnavailableError(f"episode {outcome.key} was not replayed: {outcome.message}")
-        yield int(outcome.key), from_plain(outcome.value, EpisodeReplay)
 
 
 def spread(total: int, wanted: int) -> list[int]:

@@ -8,17 +8,11 @@ from typing import Any
 
 from roboxim_core.errors import ConfigError
 from roboxim_datasets.compare import LOWEST_PSNR_DB, Comparison, Images, compare
+from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.rewrite import Plan, Written, options_like, plan_of, split_plan, write_dataset
-from roboxim_runs.events import (
-    OnEvent,
-    StageFinished,
-    StageProgress,
-    StageStarted,
-    ignore,
-    telling_interruption,
-)
-from roboxim_runs.executors import Cancellation, CancelledError
+from roboxim_runs.events import OnEvent, Reporter, ignore
+from roboxim_runs.executors import Cancellation
 from roboxim_runs.storage.folder import checked_path
 
 __all__ = ["Comparison", "Written", "compare_datasets", "convert_dataset", "merge_datasets", "split_dataset"]
@@ -55,7 +49,8 @@ def convert_dataset(
             cannot be read.
     """
     plan = plan_of(open_dataset(source))
-    return _write(plan, Path(target), format, options, "convert", overwrite, on_event, cancellation, fps)
+    reporter = Reporter(on_event, cancellation)
+    return _write(plan, Path(target), format, options, "convert", reporter, overwrite=overwrite, fps=fps)
 
 
 def merge_datasets(
@@ -85,8 +80,7 @@ def merge_datasets(
     if len(kinds) > 1:
         raise ConfigError(f"datasets of several formats ({', '.join(sorted(kinds))}); convert them to one first")
     plan = plan_of(*datasets)
-    options = options_like(datasets[0])
-    return _write(plan, Path(target), datasets[0].format, options, "merge", overwrite, on_event, cancellation)
+    return _write_like(datasets[0], plan, Path(target), "merge", Reporter(on_event, cancellation), overwrite)
 
 
 def split_dataset(
@@ -121,14 +115,11 @@ def split_dataset(
     """
     dataset = open_dataset(source)
     plan = split_plan(dataset, counts)
-    options = options_like(dataset)
+    target, reporter = Path(target), Reporter(on_event, cancellation)
     if not apart:
-        whole = _write(plan, Path(target), dataset.format, options, "split", overwrite, on_event, cancellation)
-        return dict.fromkeys(plan, whole)
+        return dict.fromkeys(plan, _write_like(dataset, plan, target, "split", reporter, overwrite))
     return {
-        split: _write(
-            {"train": places}, Path(target) / split, dataset.format, options, "split", overwrite, on_event, cancellation
-        )
+        split: _write_like(dataset, {"train": places}, target / split, "split", reporter, overwrite)
         for split, places in plan.items()
     }
 
@@ -151,34 +142,27 @@ def compare_datasets(
         RecorderError: With code ``BAG_DAMAGED`` when one cannot be read.
     """
     one, other = open_dataset(a), open_dataset(b)
-    on_event(StageStarted(title="comparing", total=len(one), unit="episodes"))
-    found = compare(
-        one, other, images=images, lowest_psnr_db=lowest_psnr_db, ignore=ignore_names,
-        progress=_progress(on_event, cancellation),
-    )  # fmt: skip
-    on_event(StageFinished())
-    return found
+    with Reporter(on_event, cancellation).stage("comparing", len(one), "episodes") as progress:
+        return compare(
+            one, other, images=images, lowest_psnr_db=lowest_psnr_db, ignore=ignore_names, progress=progress
+        )  # fmt: skip
+
+
+def _write_like(
+    dataset: Dataset, plan: Plan, target: Path, how: str, reporter: Reporter, overwrite: bool
+) -> Written:  # fmt: skip
+    """Write a dataset in the format and with the options of another one."""
+    return _write(plan, target, dataset.format, options_like(dataset), how, reporter, overwrite=overwrite)
 
 
 def _write(
-    plan: Plan, target: Path, format: str, options: Any, how: str, overwrite: bool, on_event: OnEvent,
-    cancellation: Cancellation | None, fps: float = 0.0,
+    plan: Plan, target: Path, format: str, options: Any, how: str, reporter: Reporter, **more: Any
 ) -> Written:  # fmt: skip
     checked_path(target)
-    with telling_interruption(on_event, lambda: "the same call or command continues it"):
-        on_event(StageStarted(title=f"writing {format}", total=sum(map(len, plan.values())), unit="episodes"))
-        written = write_dataset(
-            plan, target, format, options, how=how, keep_keys=how != "convert", overwrite=overwrite,
-            fps=fps, progress=_progress(on_event, cancellation),
+    with (
+        reporter.resumable("the same call or command continues it"),
+        reporter.stage(f"writing {format}", sum(map(len, plan.values())), "episodes") as progress,
+    ):
+        return write_dataset(
+            plan, target, format, options, how=how, keep_keys=how != "convert", progress=progress, **more
         )  # fmt: skip
-        on_event(StageFinished())
-    return written
-
-
-def _progress(on_event: OnEvent, cancellation: Cancellation | None) -> Any:
-    def progress(done: int, total: int) -> None:
-        if cancellation is not None and cancellation.is_set():
-            raise CancelledError("it was cancelled")
-        on_event(StageProgress(done=done, total=total))
-
-    return progress

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
-from roboxim_core.errors import ConfigError, UnavailableError, one_of
+from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
 from roboxim_core.recorded import recorded_parameters
@@ -33,16 +34,8 @@ from roboxim_recorder.bag import BagReader, find_episode
 from roboxim_recorder.recording import EpisodeRecording
 from roboxim_recorder.run_bags import list_bags
 from roboxim_ros.messages.conversions import from_msg, to_msg
-from roboxim_runs.events import (
-    Notice,
-    OnEvent,
-    StageFinished,
-    StageProgress,
-    StageStarted,
-    ignore,
-    telling_interruption,
-)
-from roboxim_runs.executors import Cancellation, Done, Executor, InlineExecutor, Job, LocalExecutor, Note, Work
+from roboxim_runs.events import OnEvent, Reporter, ReportProgress, ignore
+from roboxim_runs.executors import Cancellation, Executor, Job, Note, Work, run_required
 from roboxim_runs.storage.folder import RunFolder, checked_path
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.camera_effects import CameraRig
@@ -258,18 +251,18 @@ class Rerendered:
     """Models that have changed since the recording; they are drawn as they are now."""
 
 
-def find_bags(sources: Iterable[Path]) -> list[Path]:
+def find_bags(sources: Iterable[Path | str]) -> list[Path]:
     """Return all bags among bags, folders of bags and runs.
 
     Raises:
         ConfigError: When there is no such folder.
         RecorderError: When one holds no bag.
     """
-    return [bag for source in sources for bag in ([source] if source.is_file() else list_bags(source))]
+    return [bag for source in map(Path, sources) for bag in ([source] if source.is_file() else list_bags(source))]
 
 
 def rerender(
-    bags: Sequence[Path],
+    sources: Path | str | Sequence[Path | str],
     out: Path | str,
     config: RerenderConfig,
     *,
@@ -278,10 +271,10 @@ def rerender(
     cancellation: Cancellation | None = None,
     executor: Executor | None = None,
 ) -> Rerendered:
-    """Render bags again into a new run's folder. Bags that it has already are kept.
+    """Render recorded episodes again into a new run's folder. Bags that it has already are kept.
 
     Args:
-        bags: The recorded bags.
+        sources: Bags, folders of bags or runs.
         out: Folder of the new run.
         config: Changes to the recorded episodes.
         workers: Processes, each with a renderer; 1: this process.
@@ -295,12 +288,12 @@ def rerender(
         RoboximError: When a bag is damaged or cannot be drawn, or workers die; the same call continues afterwards.
     """
     checked_path(out)
-    episodes = _episodes(bags)
+    episodes = _episodes(find_bags([sources] if isinstance(sources, Path | str) else sources))
     for reader in episodes.values():
         config.scene(reader.info)  # raise on a wrong change before rendering starts
-    folder = RunFolder(out)
+    folder, reporter = RunFolder(out), Reporter(on_event)
     with (
-        telling_interruption(on_event, lambda: "the same call or command renders the missing bags"),
+        reporter.resumable("the same call or command renders the missing bags"),
         folder.opened({"rerender": to_plain(config)}),
     ):
         recorded = {result.episode_id for result in folder.results()}
@@ -311,11 +304,13 @@ def rerender(
         missing = {name: reader for name, reader in episodes.items() if name not in done}
         total = sum(map(len, episodes.values()))
         before = total - sum(map(len, missing.values()))
-        on_event(StageStarted(title="rendering", total=total, done=before, unit="ticks"))
-        on_event(StageProgress(done=before, total=total))
-        if missing:
-            _render(missing, folder, config, workers, executor, cancellation, _Ticks(before, total, on_event).hear)
-        on_event(StageFinished())
+        with reporter.stage("rendering", total, "ticks", before) as progress:
+            progress(before)
+            heard = _Ticks(before, progress, reporter)
+            if missing:
+                _render(
+                    missing, folder, config, workers, executor=executor, cancellation=cancellation, on_note=heard.hear
+                )
     library = ModelLibrary()
     changed = {model for reader in episodes.values() for model in library.changed(reader.info.models)}
     return Rerendered(made=len(missing), there=len(done), changed=tuple(sorted(changed)))
@@ -324,29 +319,23 @@ def rerender(
 class _Ticks:
     """Count of rendered ticks. When a worker dies, its bag's ticks are counted again from 0."""
 
-    def __init__(self, before: int, total: int, on_event: OnEvent) -> None:
-        self._before, self._total, self._on_event = before, total, on_event
-        self._of_bag: dict[str, int] = {}
+    def __init__(self, before: int, progress: ReportProgress, reporter: Reporter) -> None:
+        self._before, self._progress, self._reporter = before, progress, reporter
+        self._of_bag: Counter[str] = Counter()
 
     def hear(self, note: Note) -> None:
         if note.text:
             self._of_bag[note.key] = 0
-            self._on_event(Notice(text=note.text))
+            self._reporter.notice(note.text)
         elif note.data is not None:
-            self._of_bag[note.key] = self._of_bag.get(note.key, 0) + 1
-            self._on_event(StageProgress(done=self._before + sum(self._of_bag.values()), total=self._total))
+            self._of_bag[note.key] += 1
+            self._progress(self._before + self._of_bag.total())
 
 
 def _render(
-    missing: Mapping[str, BagReader],
-    folder: RunFolder,
-    config: RerenderConfig,
-    workers: int,
-    executor: Executor | None,
-    cancellation: Cancellation | None,
-    hear: Callable[[Note], None],
-) -> None:
-    """Render bags with an executor, and store each result as soon as it arrives."""
+    missing: Mapping[str, BagReader], folder: RunFolder, config: RerenderConfig, workers: int, **options: Any
+) -> None:  # fmt: skip
+    """Render bags, and store each result as soon as it arrives; the options are those of `run_required`."""
     workers = min(workers, len(missing))
     threads = os.environ.get(THREADS_VARIABLE) or str(max(1, len(os.sched_getaffinity(0)) // workers))
     work = Work(
@@ -354,14 +343,11 @@ def _render(
         settings={"config": to_plain(config), "out": str(folder.path)},
         environment={THREADS_VARIABLE: threads},
     )
-    if executor is None:
-        executor = LocalExecutor(workers, log_dir=folder.path / "logs") if workers > 1 else InlineExecutor()
     jobs = [Job(key=name, data=str(reader.path.resolve())) for name, reader in missing.items()]
-    for outcome in executor.run(
-        work, jobs, on_note=hear, before_retry=folder.discard_episode, cancellation=cancellation
-    ):
-        if not isinstance(outcome, Done):
-            raise UnavailableError(f"bag {outcome.key} was not rendered: {outcome.message}")
+    for outcome in run_required(
+        work, jobs, lost="bag {} was not rendered", workers=workers, log_dir=folder.path / "logs",
+        before_retry=folder.discard_episode, **options,
+    ):  # fmt: skip
         folder.append(from_plain(outcome.value, EpisodeResult))
 
 

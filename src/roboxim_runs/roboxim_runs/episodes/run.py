@@ -20,16 +20,7 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.shards import Shard
 from roboxim_runs.episodes.staging import clear_staging, take_over
 from roboxim_runs.episodes.task_choice import DEFAULT_TASK, task_text
-from roboxim_runs.events import (
-    EpisodeFinished,
-    Notice,
-    OnEvent,
-    StageFinished,
-    StageProgress,
-    StageStarted,
-    ignore,
-    telling_interruption,
-)
+from roboxim_runs.events import EpisodeFinished, OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation, Done, Executor, LocalExecutor, Lost, Note, Work
 from roboxim_runs.executors import Job as ExecutorJob
 from roboxim_runs.executors.protocol import Prepare, unchanged
@@ -340,7 +331,7 @@ def run_episodes(
         RoboximError: When a graph has a fault that a new worker does not recover from.
     """
     folder = RunFolder(job.config.output_dir)
-    with telling_interruption(on_event, lambda: _describe_progress(folder)), folder.opened(job.identity, repair=repair):
+    with Reporter(on_event).resumable(lambda: _describe_progress(folder)), folder.opened(job.identity, repair=repair):
         done = _finished(job, folder, repair)
         missing = [index for index in job.indices if index not in done]
         if not missing:
@@ -352,18 +343,17 @@ def run_episodes(
         facts = {"title": title, "executor": type(executor).__name__.removesuffix("Executor").lower()}
         outcomes = Counter(result.outcome for result in done.values())
         with logged(folder.path / EVENTS_FILE, on_event, **facts, workers=job.workers, total=total) as tell:
-            tell(StageStarted(title=title, total=total, done=len(done)))
-            tell(StageProgress(done=len(done), total=total, note="starting"))
-            upload = RunUpload(folder.path, job.store, shard=str(job.shard))
-            for result in _results(executor, job, missing, environment, folder, tell, cancellation, prepare):
-                folder.append(result)
-                upload.now_and_then()
-                done[result.index] = result
-                outcomes[result.outcome] += result.played
-                tell(StageProgress(done=len(done), total=total, note=_tally(outcomes)))
-                tell(EpisodeFinished(folder=folder.path, result=result))
-            upload.all()
-            tell(StageFinished())
+            reporter, upload = Reporter(tell), RunUpload(folder.path, job.store, shard=str(job.shard))
+            with reporter.stage(title, total, done=len(done)) as progress:
+                progress(len(done), note="starting")
+                for result in _results(executor, job, missing, environment, folder, reporter, cancellation, prepare):
+                    folder.append(result)
+                    upload.now_and_then()
+                    done[result.index] = result
+                    outcomes[result.outcome] += result.played
+                    progress(len(done), note=f"{outcomes['success']} of {outcomes.total()} succeeded")
+                    tell(EpisodeFinished(folder=folder.path, result=result))
+                upload.all()
         clear_staging(folder)
         return [done[index] for index in sorted(done)]
 
@@ -384,7 +374,7 @@ def _results(
     indices: Sequence[int],
     environment: Mapping[str, str],
     folder: RunFolder,
-    on_event: OnEvent,
+    reporter: Reporter,
     cancellation: Cancellation | None,
     prepare: Prepare,
 ) -> Iterator[EpisodeResult]:
@@ -392,8 +382,7 @@ def _results(
 
     def hear(note: Note) -> None:
         for text in (note.text, waiting.notice(note)):
-            if text:
-                on_event(Notice(text=text))
+            reporter.notice(text)
 
     staged = bool(getattr(executor, "staged", False)) or bool(job.store)
     outcomes = executor.run(
@@ -439,10 +428,6 @@ def _describe_progress(folder: RunFolder) -> str:
         f"{done} episode{'s are' if done != 1 else ' is'} done in {folder.path}; "
         "the same call or command runs the missing episodes"
     )
-
-
-def _tally(outcomes: Counter[str]) -> str:
-    return f"{outcomes['success']} of {outcomes.total()} succeeded"
 
 
 def failures(results: Iterable[EpisodeResult], most: int = 10) -> list[str]:

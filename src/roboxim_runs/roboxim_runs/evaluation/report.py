@@ -52,6 +52,16 @@ class EvaluationRecord:
     """Whether planned looks at the results have not decided; then no policy is called better."""
 
 
+def stored_record(out: Path) -> EvaluationRecord:
+    """Return the record in an evaluation's folder.
+
+    Raises:
+        ConfigError: When the folder has none, or it is damaged.
+    """
+    file = out / RECORD_FILE
+    return from_plain(read_json_object(file), EvaluationRecord, source=str(file))
+
+
 def report_of(out: Path, record: EvaluationRecord | None = None, *, page: bool = True) -> EvaluationResult:
     """Write the report of the finished episodes in an evaluation's folder.
 
@@ -64,9 +74,7 @@ def report_of(out: Path, record: EvaluationRecord | None = None, *, page: bool =
         ConfigError: When the folder has no record, or its files are damaged.
         RecorderError: With code ``BAG_DAMAGED`` when a bag that the page shows is not whole.
     """
-    if record is None:
-        stored = out / RECORD_FILE
-        record = from_plain(read_json_object(stored), EvaluationRecord, source=str(stored))
+    record = record or stored_record(out)
     found = {
         name: PolicyResult(name=name, results=tuple(RunFolder(out / name).results()), folder=out / name)
         for name in record.policies

@@ -19,6 +19,7 @@ from roboxim_runs.executors.protocol import (
     Worker,
     WorkerBrokenError,
 )
+from roboxim_runs.executors.required import run_required
 
 __all__ = [
     "Cancellation",
@@ -34,4 +35,5 @@ __all__ = [
     "Work",
     "Worker",
     "WorkerBrokenError",
+    "run_required",
 ]

@@ -16,14 +16,16 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
+from functools import partial
 from types import TracebackType
 from typing import Any
 
 from roboxim_core.errors import ConfigError, UnavailableError, raise_for_code
-from roboxim_runs.executors.pool import ClosingError, Pool, WorkerDiedError
-from roboxim_runs.executors.protocol import Cancellation, Done, Job, Lost, Note, Prepare, Work, unchanged
+from roboxim_runs.executors.pool import ClosingError, WorkerDiedError
+from roboxim_runs.executors.pooled import PlaceFor, PooledExecutor
+from roboxim_runs.executors.protocol import Work
 from roboxim_runs.executors.worker_process import READY_S, STALL_S
 
 POLL_S = 1.0
@@ -42,7 +44,7 @@ MISSING = (
 )
 
 
-class RayExecutor:
+class RayExecutor(PooledExecutor):
     """Runs jobs on a Ray cluster, one worker per actor."""
 
     staged = True
@@ -72,9 +74,9 @@ class RayExecutor:
         """
         _import_ray()
         self._connection = contextlib.ExitStack()
-        self.workers, self.address, self.stall_s = workers, address, stall_s
+        super().__init__(workers)
+        self.address, self.stall_s, self.option = address, stall_s, option
         self.resources = dict(resources or {"CPU": 1.0})
-        self._option = option
 
     @property
     def elsewhere(self) -> bool:
@@ -96,33 +98,15 @@ class RayExecutor:
         """Disconnect."""
         self._connection.close()
 
-    def run(
-        self,
-        work: Work,
-        jobs: Sequence[Job],
-        *,
-        on_note: Callable[[Note], None] = lambda _: None,
-        before_retry: Callable[[str], None] = lambda _: None,
-        cancellation: Cancellation | None = None,
-        prepare: Prepare = unchanged,
-    ) -> Iterator[Done | Lost]:
-        """Run jobs; see `Executor.run`.
+    @contextlib.contextmanager
+    def places(self) -> Iterator[PlaceFor]:
+        """Connect to the cluster; see `PooledExecutor.places`.
 
         Raises:
-            ConfigError: When a node has other software than this machine.
-            UnavailableError: When there is no cluster at the address, no node has the resources, or a worker cannot
-                start, with the end of its log.
+            UnavailableError: When there is no cluster at the address.
         """
-        crew = _Crew()
         with _connected(self.address, self.workers) as ray:
-            pool = Pool(
-                lambda number, closing: _RayPlace(
-                    ray, prepare(work, number, closing), number, self.resources, self.stall_s, closing, crew,
-                    self._option,
-                ),
-                jobs, self.workers, before_retry,
-            )  # fmt: skip
-            yield from pool.run(on_note, cancellation)
+            yield partial(_RayPlace, ray, self, _Crew())
 
 
 def _import_ray() -> Any:
@@ -195,24 +179,24 @@ class _RayPlace:
     """A worker behind an actor; a `roboxim_runs.executors.pool.Place`."""
 
     def __init__(
-        self, ray: Any, work: Work, number: int, resources: Mapping[str, float], stall_s: float,
-        closing: threading.Event, crew: _Crew, option: str,
+        self, ray: Any, executor: RayExecutor, crew: _Crew, work: Work, number: int, closing: threading.Event
     ) -> None:  # fmt: skip
         self.log = "not started"
-        self._ray, self._work, self._number, self._stall_s, self._closing = ray, work, number, stall_s, closing
-        self._resources, self._crew, self._option = dict(resources), crew, option
+        self._ray, self._executor, self._crew = ray, executor, crew
+        self._work, self._number, self._closing = work, number, closing
         self._actor: Any = None
         self._placed = self._lost = self._killed = False
 
     def start(self) -> None:
         from roboxim_runs.executors.ray_worker import RayWorker, software
 
-        more = {name: value for name, value in self._resources.items() if name not in ("CPU", "GPU")}
+        resources = self._executor.resources
+        more = {name: value for name, value in resources.items() if name not in ("CPU", "GPU")}
         remote = self._ray.remote(RayWorker).options(
-            num_cpus=self._resources.get("CPU", 0.0), num_gpus=self._resources.get("GPU", 0.0), resources=more,
+            num_cpus=resources.get("CPU", 0.0), num_gpus=resources.get("GPU", 0.0), resources=more,
             max_restarts=0, max_concurrency=4,
         )  # fmt: skip
-        self._actor = remote.remote(asdict(self._work), self._number, self._stall_s, os.getcwd())
+        self._actor = remote.remote(asdict(self._work), self._number, self._executor.stall_s, os.getcwd())
         facts = self._answer(self._actor.facts.remote(), PLACED_S, waiting_for="a node with free resources")
         self._placed = True
         self._crew.change(1)
@@ -273,8 +257,8 @@ class _RayPlace:
                 if time.monotonic() > deadline:
                     if waiting_for:
                         raise UnavailableError(
-                            f"no {waiting_for} ({self._resources}) for {within_s:g} s; the cluster has "
-                            f"{self._ray.cluster_resources()}; ask for less with {self._option}, or add nodes"
+                            f"no {waiting_for} ({self._executor.resources}) for {within_s:g} s; the cluster has "
+                            f"{self._ray.cluster_resources()}; ask for less with {self._executor.option}, or add nodes"
                         )
                     self._lost = True
                     raise WorkerDiedError(f"its node did not answer for {within_s:g} s")

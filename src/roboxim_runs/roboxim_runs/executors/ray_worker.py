@@ -111,14 +111,9 @@ class RayWorker:
                 ours |= {"ROS_DOMAIN_ID": str(domain), "ROBOXIM_RUN": run.id, **_node_address()}
                 work = replace(self._work, environment=ours)
                 process = WorkerProcess(
-                    work,
-                    self._number,
-                    logs,
-                    closing=self._closing,
-                    stall_s=self._stall_s,
-                    inherited=_environment(),
+                    work, self._number, self._closing, log_dir=logs, stall_s=self._stall_s, inherited=_environment(),
                     folder=self._folder,
-                )
+                )  # fmt: skip
                 stack.callback(process.end)
                 try:
                     process.start()

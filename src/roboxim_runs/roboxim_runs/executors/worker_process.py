@@ -45,9 +45,9 @@ class WorkerProcess:
         self,
         work: Work,
         number: int,
-        log_dir: Path,
-        *,
         closing: threading.Event,
+        *,
+        log_dir: Path,
         stall_s: float = STALL_S,
         inherited: Mapping[str, str] | None = None,
         folder: str | None = None,
@@ -58,8 +58,8 @@ class WorkerProcess:
         Args:
             work: Its work.
             number: Its number, unique in the run.
-            log_dir: Existing folder of its output, ``worker-<number>.log``.
             closing: Ends every wait when it is set.
+            log_dir: Existing folder of its output, ``worker-<number>.log``.
             stall_s: A worker that is silent for this time counts as dead [s].
             inherited: Environment that the work's variables are added to; none: this process's.
             folder: Working directory; none: this process's.

@@ -73,11 +73,7 @@ class RunFolder:
                 f"{self.path} exists and is not a run's folder; empty it or choose another output "
                 "folder (--out or out=)"
             )
-        with open(self.path / ".lock", "w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                raise ConfigError(f"another command is running in {self.path}; wait for it or stop it") from None
+        with locked(self.path):
             self._key = run_key(config)
             if stored_at.exists() and self.log.path.exists():
                 self._require_same(config, repair)
@@ -201,6 +197,27 @@ class RunFolder:
     def append(self, result: EpisodeResult) -> None:
         """Append a finished result. It is on the disk when this returns."""
         self.log.append(self._key, to_plain(result))
+
+
+@contextmanager
+def locked(folder: Path, name: str = ".lock") -> Iterator[None]:
+    """Lock a folder while the block runs.
+
+    Raises:
+        ConfigError: When another command holds the lock.
+    """
+    with open(folder / name, "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise ConfigError(f"another command is running in {folder}; wait for it or stop it") from None
+        yield
+
+
+def folders_with(name: str, folder: Path, deepest: int) -> Iterator[Path]:
+    """Yield the folders that have a file of a name: a folder, and those at most some levels below; no hidden ones."""
+    for depth in range(deepest + 1):
+        yield from (file.parent for file in sorted(folder.glob("/".join(["[!.]*"] * depth + [name]))))
 
 
 def run_key(config: Mapping[str, Any]) -> str:

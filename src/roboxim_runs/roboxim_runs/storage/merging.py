@@ -7,29 +7,37 @@ result does not count, so a killed merge is repeated by the same command.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
+import itertools
 import json
 import os
 import shlex
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.config import from_json, from_plain
+from roboxim_core.config import from_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_core.plain_data.differences import differences
-from roboxim_core.plain_data.documents import read_text
 from roboxim_core.whole_files import write_whole
 from roboxim_recorder.bag_writer import PLACES, disk_errors
 from roboxim_runs.episodes.generation import write_first_demonstrations
-from roboxim_runs.evaluation.report import RECORD_FILE, REPORT_FILE, EvaluationRecord, report_of
-from roboxim_runs.events import OnEvent, StageFinished, StageProgress, StageStarted, ignore
-from roboxim_runs.storage.folder import MAY_DIFFER, RESULTS_FILE, RUN_FILE, RunFolder, checked_path, run_key
+from roboxim_runs.evaluation.report import RECORD_FILE, REPORT_FILE, EvaluationRecord, report_of, stored_record
+from roboxim_runs.events import OnEvent, Reporter, ReportProgress, ignore
+from roboxim_runs.storage.folder import (
+    MAY_DIFFER,
+    RESULTS_FILE,
+    RUN_FILE,
+    RunFolder,
+    checked_path,
+    folders_with,
+    locked,
+    run_key,
+)
 from roboxim_runs.storage.results_log import KEY
 from roboxim_runs.storage.store import RunUpload, note_stored, stored_bags
 
@@ -88,30 +96,34 @@ def merge_shards(
     if not partial:
         for merge in merges:
             merge.require_complete()
-    records = _records(sources)
     total = sum(len(merge.chosen) for merge in merges)
-    on_event(StageStarted(title="merging", total=total, unit="episodes"))
-    new = not target.exists()
+    with Reporter(on_event).stage("merging", total, "episodes") as progress:
+        _write(target, merges, sources, _records(sources), progress)
+    return [merge.summary for merge in merges]
+
+
+def _write(
+    target: Path, merges: Sequence[_Merge], shards: Sequence[Path], records: Mapping[str, EvaluationRecord],
+    progress: ReportProgress,
+) -> None:  # fmt: skip
+    """Write the merged runs and their reports."""
+    new, done = not target.exists(), itertools.count(1)
     with _stage(target.with_name(f".{target.name}.merging") if new else target / ".merging") as stage:
-        done = 0
         for merge in merges:
             for _ in merge.fill(stage / merge.name):
-                done += 1
-                on_event(StageProgress(done=done, total=total))
+                progress(next(done))
             merge.decorate(stage / merge.name)
         if new:
-            _write_reports(stage, records, sources)
+            _write_reports(stage, records, shards)
             with disk_errors(target):
                 stage.rename(target)
         else:
             with disk_errors(target):
                 for merge in merges:
                     merge.put(stage / merge.name, target / merge.name)
-            _write_reports(target, records, sources)
+            _write_reports(target, records, shards)
     for merge in merges:
         RunUpload(target / merge.name, str(merge.config.get("store", ""))).all()
-    on_event(StageFinished())
-    return [merge.summary for merge in merges]
 
 
 def _write_reports(folder: Path, records: Mapping[str, EvaluationRecord], shards: Sequence[Path]) -> None:
@@ -142,22 +154,18 @@ def _planned(target: Path, shards: Sequence[Path]) -> list[_Merge]:
 
 def _runs_in(shard: Path) -> dict[str, RunFolder]:
     """Return the runs in a folder, by their path relative to it."""
-    found = {}
-    for depth in range(DEEPEST + 1):
-        for file in sorted(shard.glob("/".join(["[!.]*"] * depth + [RUN_FILE]))):
-            found[str(file.parent.relative_to(shard))] = RunFolder(file.parent)
-    return found
+    found = folders_with(RUN_FILE, shard, DEEPEST)
+    return {str(folder.relative_to(shard)): RunFolder(folder) for folder in found}
 
 
 def _records(shards: Sequence[Path]) -> dict[str, EvaluationRecord]:
     """Return the evaluations' records, by the path of their folder relative to the shard."""
     found: dict[str, EvaluationRecord] = {}
     for shard in shards:
-        for depth in range(DEEPEST):
-            for file in sorted(shard.glob("/".join(["[!.]*"] * depth + [RECORD_FILE]))):
-                record = from_json(read_text(file), EvaluationRecord, source=str(file))
-                record = EvaluationRecord(**{**vars(record), "command": whole_command(record.command)})
-                found.setdefault(str(file.parent.relative_to(shard)), record)
+        for folder in folders_with(RECORD_FILE, shard, DEEPEST - 1):
+            record = stored_record(folder)
+            record = replace(record, command=whole_command(record.command))
+            found.setdefault(str(folder.relative_to(shard)), record)
     return found
 
 
@@ -327,7 +335,7 @@ class _Merge:
             place.parent.mkdir(parents=True, exist_ok=True)
             made.rename(place)
             return
-        with _locked(place):
+        with locked(place):
             for bag in sorted(path for kind in PLACES.values() for path in (made / kind).glob("*")):
                 there = place / bag.relative_to(made)
                 there.parent.mkdir(exist_ok=True)
@@ -413,7 +421,7 @@ def _stage(folder: Path) -> Iterator[Path]:
     with disk_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
     lock = f".{folder.name.lstrip('.')}.lock"
-    with _locked(folder.parent, lock):
+    with locked(folder.parent, lock):
         try:
             with disk_errors(folder):
                 shutil.rmtree(folder, ignore_errors=True)
@@ -422,13 +430,3 @@ def _stage(folder: Path) -> Iterator[Path]:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
             (folder.parent / lock).unlink(missing_ok=True)
-
-
-@contextmanager
-def _locked(folder: Path, name: str = ".lock") -> Iterator[None]:
-    with open(folder / name, "w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise ConfigError(f"another command is running in {folder}; wait for it or stop it") from None
-        yield

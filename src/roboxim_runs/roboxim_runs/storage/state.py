@@ -20,7 +20,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.shards import Shard
 from roboxim_runs.pace import Pace
 from roboxim_runs.storage.event_log import ENDED, EVENTS_FILE, STARTED
-from roboxim_runs.storage.folder import RESULTS_FILE, RUN_FILE, RunFolder, command_of
+from roboxim_runs.storage.folder import RESULTS_FILE, RUN_FILE, RunFolder, command_of, folders_with
 
 DEEPEST = 4
 """Levels below a folder at which runs are looked for."""
@@ -70,16 +70,11 @@ def find_runs(folders: Sequence[Path]) -> list[RunState]:
     """
     found = []
     for folder in folders:
-        runs = [run_state(path) for path in _run_folders(folder)]
+        runs = [run_state(path) for path in folders_with(RUN_FILE, folder, DEEPEST)]
         if not runs:
             raise ConfigError(f"{folder} has no run" if folder.is_dir() else f"no such folder: {folder}")
         found += runs
     return found
-
-
-def _run_folders(folder: Path) -> Iterator[Path]:
-    for depth in range(DEEPEST + 1):
-        yield from (file.parent for file in sorted(folder.glob("/".join(["[!.]*"] * depth + [RUN_FILE]))))
 
 
 def run_state(folder: Path, now_s: float | None = None) -> RunState:

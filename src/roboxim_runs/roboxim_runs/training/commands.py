@@ -17,25 +17,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 from roboxim_bringup.process import describe_exit, spawn
 from roboxim_core.config import to_plain
-from roboxim_core.errors import ConfigError, RoboximError, UnavailableError
+from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_eval.experiments import Stage
-from roboxim_runs.events import (
-    Event,
-    Notice,
-    OnEvent,
-    StageFinished,
-    StageProgress,
-    StageStarted,
-    telling_interruption,
-)
-from roboxim_runs.executors import Cancellation, CancelledError, Done, Executor, Job, Note, Work
+from roboxim_runs.events import Event, OnEvent, Reporter, StageFinished, StageProgress, StageStarted
+from roboxim_runs.executors import Cancellation, Executor, Job, Note, Work, run_required
 from roboxim_runs.storage.event_log import VARIABLE
 
 POLL_S = 0.05
@@ -101,9 +93,10 @@ def train(
     def unfinished() -> str:
         return f"interrupted: {', '.join(map(str, running)) or 'no training'}; the same call or command continues"
 
-    with telling_interruption(on_event, unfinished):
+    reporter = Reporter(on_event, cancellation)
+    with reporter.resumable(unfinished):
         try:
-            _run(waiting, running, out, at_once, on_event, on_trained, cancellation)
+            _run(waiting, running, out, at_once, reporter, on_trained)
         finally:
             _end([training.process for training in running], end_s)
 
@@ -136,12 +129,12 @@ def train_on(
         RoboximError: When a training fails; the message has the end of its log.
         UnavailableError: When three workers were lost at a training.
     """
-    by_name, running = {stage.name: stage for stage in stages}, _Shared()
+    by_name, running, reporter = {stage.name: stage for stage in stages}, _Shared(), Reporter(on_event)
 
     def on_note(note: Note) -> None:
         if note.text:
             running.end(note.key)
-            on_event(Notice(text=note.text))
+            reporter.notice(note.text)
             return
         running.begin(note.key)
         if event := event_of(note.data):
@@ -153,19 +146,14 @@ def train_on(
     def unfinished() -> str:
         return f"interrupted: {running or 'no training'}; the same call or command continues"
 
-    with telling_interruption(on_event, unfinished):
-        if not jobs:
-            return
-        outcomes = executor.run(work, jobs, on_note=on_note, cancellation=cancellation)
-        try:
-            for outcome in outcomes:
-                at_once = running.end(outcome.key)
-                if not isinstance(outcome, Done):
-                    raise UnavailableError(f"{outcome.key}: {outcome.message}; the same command continues")
-                on_trained(Trained(stage=by_name[outcome.key], at_once=at_once, **outcome.value))
-        finally:
-            if isinstance(outcomes, Generator):
-                outcomes.close()  # ends the other trainings now, not when the error is forgotten
+    outcomes = run_required(
+        work, jobs, lost="{}, which the same command continues", executor=executor, on_note=on_note,
+        cancellation=cancellation,
+    )  # fmt: skip
+    with reporter.resumable(unfinished), contextlib.closing(outcomes):  # ends the trainings when one has failed
+        for outcome in outcomes:
+            at_once = running.end(outcome.key)
+            on_trained(Trained(stage=by_name[outcome.key], at_once=at_once, **outcome.value))
 
 
 def event_of(data: Any) -> Event | None:
@@ -210,17 +198,15 @@ def _run(
     running: list[_Training],
     out: Path,
     at_once: int,
-    on_event: OnEvent,
+    reporter: Reporter,
     on_trained: Callable[[Trained], None],
-    cancellation: Cancellation | None,
 ) -> None:
     """Run trainings; `running` has those that have not ended, also when this raises."""
     counted = told = time.monotonic()
     while waiting or running:
         while waiting and len(running) < at_once:
-            running.append(_Training(waiting.pop(0), out, on_event))
-        if cancellation is not None and cancellation.is_set():
-            raise CancelledError("the experiment was cancelled")
+            running.append(_Training(waiting.pop(0), out, reporter.on_event))
+        reporter.require_wanted()
         with contextlib.suppress(subprocess.TimeoutExpired):
             running[0].process.wait(POLL_S)
         now = time.monotonic()

@@ -16,16 +16,8 @@ from roboxim_core.whole_files import write_whole
 from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_datasets.formats import open_dataset
 from roboxim_policies.bc.config import BCConfig
-from roboxim_runs.events import (
-    Notice,
-    OnEvent,
-    StageFinished,
-    StageProgress,
-    StageStarted,
-    ignore,
-    telling_interruption,
-)
-from roboxim_runs.executors import Cancellation, CancelledError
+from roboxim_runs.events import OnEvent, Reporter, ignore
+from roboxim_runs.executors import Cancellation
 from roboxim_runs.policies.specs import CHECKPOINT, PolicySpec
 from roboxim_runs.storage.folder import checked_path, make_folder
 
@@ -90,38 +82,29 @@ def train_bc(
     from roboxim_policies.bc.train import Trainer, TrainProgress
 
     started = time.monotonic()
-
-    def reading(done: int, total: int) -> None:
-        _check(cancellation)
-        on_event(StageProgress(done=done, total=total))
-
-    def training(progress: TrainProgress) -> None:
-        note = f"loss {progress.loss:.3f}, {progress.steps_per_s:.1f} steps/s"
-        on_event(StageProgress(done=progress.step, total=settings.steps, note=note))
-        _check(cancellation)
-
-    on_event(StageStarted(title="reading demonstrations", total=1))
-    read = read_demonstrations(Path(dataset), image_sizes=settings.image_sizes, limit=limit, progress=reading)
-    data = read.assemble()
-    del read  # its images are copies
-    on_event(StageFinished())
+    reporter = Reporter(on_event, cancellation)
+    with reporter.stage("reading demonstrations") as reading:
+        read = read_demonstrations(Path(dataset), image_sizes=settings.image_sizes, limit=limit, progress=reading)
+        data = read.assemble()
+        del read  # its images are copies
     make_folder(folder)
     trainer = Trainer(data, settings, Path(out))
     name_dataset(Path(dataset), folder)
     before = trainer.step
+
+    def unfinished() -> str:
+        return (
+            f"checkpoint after {trainer.step} of {settings.steps} steps: {trainer.path}; the same call or command "
+            "continues from it"
+        )
+
+    def training(progress: TrainProgress) -> None:
+        report(progress.step, note=f"loss {progress.loss:.3f}, {progress.steps_per_s:.1f} steps/s")
+
     if before < settings.steps:
-        if before:
-            on_event(Notice(text=f"continuing from step {before}"))
-        on_event(StageStarted(title="training", total=settings.steps, done=before, unit="steps"))
-        with telling_interruption(
-            on_event,
-            lambda: (
-                f"checkpoint after {trainer.step} of {settings.steps} steps: {trainer.path}; the same call or command "
-                "continues from it"
-            ),
-        ):
+        reporter.notice(f"continuing from step {before}" if before else "")
+        with reporter.resumable(unfinished), reporter.stage("training", settings.steps, "steps", before) as report:
             trainer.run(training, until=until)
-        on_event(StageFinished())
     return TrainingResult(
         checkpoint=trainer.path, steps=trainer.step, steps_now=trainer.step - before, wall_s=time.monotonic() - started
     )
@@ -142,11 +125,6 @@ def name_dataset(dataset: Path, training: Path) -> None:
     facts = read_json_object(file) if file.is_file() else {}
     named = {"identity": facts.get("identity", ""), "cells": facts.get("cells", {})}
     write_whole(training / TRAINED_ON, json.dumps(named, indent=2) + "\n")
-
-
-def _check(cancellation: Cancellation | None) -> None:
-    if cancellation is not None and cancellation.is_set():
-        raise CancelledError("the training was cancelled")
 
 
 def read_bc_config(file: Path | None, changes: Mapping[str, Any] | None = None) -> BCConfig:

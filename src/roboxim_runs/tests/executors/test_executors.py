@@ -245,7 +245,7 @@ def test_a_worker_that_is_never_silent_ends_with_its_run(work, tmp_path):
         notes.append(data)
         closing.set()
 
-    process = WorkerProcess(work(), 0, tmp_path, closing=closing)
+    process = WorkerProcess(work(), 0, closing, log_dir=tmp_path)
     try:
         process.start()
         with pytest.raises(ClosingError):

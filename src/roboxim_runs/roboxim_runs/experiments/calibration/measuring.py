@@ -26,7 +26,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.plain_data.documents import read_text
 from roboxim_eval.experiments import Rates, SideBySide
 from roboxim_eval.experiments.cost import LEAST_START_S
-from roboxim_runs.datasets.export import ExportConfig, ExportReport, export_rlds
+from roboxim_runs.datasets.export import ExportConfig, ExportReport, export_dataset
 from roboxim_runs.episodes.generation import GenerationConfig, GenerationResult, generate
 from roboxim_runs.evaluation.report import report_of
 from roboxim_runs.evaluation.results import EvaluationResult
@@ -237,7 +237,8 @@ def _demonstrations(
 
 
 def _export(folder: Path, options: Mapping[str, Any]) -> ExportReport:
-    return export_rlds(folder / "demos", folder / "rlds", ExportConfig(val_fraction=0.0, uneven=True), **options)
+    selection = ExportConfig(val_fraction=0.0, uneven=True)
+    return export_dataset("rlds", folder / "demos", folder / "rlds", selection, **options)
 
 
 def _side_by_side(config: CalibrationConfig, folder: Path, load: str, options: Mapping[str, Any]) -> SideBySide:

@@ -12,8 +12,8 @@ from roboxim_bringup.process import describe_exit
 from roboxim_core.errors import RoboximError
 from roboxim_eval.experiments import SideBySide
 from roboxim_eval.experiments.cost import LEAST_START_S
-from roboxim_runs.events import OnEvent, StageFinished, StageProgress, StageStarted, ignore
-from roboxim_runs.executors import Cancellation, CancelledError
+from roboxim_runs.events import OnEvent, Reporter, ignore
+from roboxim_runs.executors import Cancellation
 from roboxim_runs.training.commands import TrainerReports, started
 
 ENDLESS = 10_000_000
@@ -47,24 +47,21 @@ def measure_side_by_side(
         CancelledError: When the measurement was cancelled.
         RoboximError: When a training fails.
     """
-    on_event(StageStarted(title=f"{trainings} trainings at a time", total=steps, unit="steps"))
     runs: list[_MeasuredTraining] = []
-    try:
-        for number in range(trainings):
-            runs.append(_MeasuredTraining(dataset, folder / f"bc-{number}", number))
-        done = 0
-        while done < steps:
-            time.sleep(REPORTS_S)
-            if cancellation is not None and cancellation.is_set():
-                raise CancelledError("the measurement was cancelled")
+    with Reporter(on_event, cancellation).stage(f"{trainings} trainings at a time", steps, "steps") as progress:
+        try:
+            for number in range(trainings):
+                runs.append(_MeasuredTraining(dataset, folder / f"bc-{number}", number))
+            done = 0
+            while done < steps:
+                time.sleep(REPORTS_S)
+                for run in runs:
+                    run.read()
+                done = common_steps([run.seen for run in runs])
+                progress(min(done, steps))
+        finally:
             for run in runs:
-                run.read()
-            done = common_steps([run.seen for run in runs])
-            on_event(StageProgress(done=min(done, steps), total=steps))
-    finally:
-        for run in runs:
-            run.kill()
-    on_event(StageFinished())
+                run.kill()
     rate = common_rate([run.seen for run in runs])
     start_s = sum(run.seen[0][0] - run.began - run.seen[0][1] / rate for run in runs) / len(runs)
     return SideBySide(

@@ -14,7 +14,7 @@ from string import Formatter
 from typing import Any
 
 from roboxim_core.config import to_plain
-from roboxim_core.errors import ConfigError, ErrorCode, RoboximError, UnavailableError
+from roboxim_core.errors import ConfigError, ErrorCode, RoboximError
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_datasets.dataset import EXPORT_FILE, Dataset
 from roboxim_datasets.formats import open_dataset
@@ -29,8 +29,8 @@ from roboxim_eval.experiments.proving.proofs import (
     tally,
     training_tally,
 )
-from roboxim_runs.events import OnEvent, StageFinished, StageProgress, StageStarted, ignore
-from roboxim_runs.executors import Cancellation, Done, Executor, InlineExecutor, Job, LocalExecutor, Work
+from roboxim_runs.events import OnEvent, Reporter, ignore
+from roboxim_runs.executors import Cancellation, Executor, Job, Work, run_required
 from roboxim_runs.experiments.delivery.demands import demands_of
 from roboxim_runs.experiments.delivery.substitution import Judging
 from roboxim_runs.experiments.delivery.worker import BagJob, shown_from
@@ -71,18 +71,17 @@ class Reading:
             CancelledError: When the run was cancelled.
             RoboximError: When a bag is damaged or cannot be drawn, or workers die.
         """
-        several = len(jobs) > INLINE and self.workers > 1
-        work = Work(worker=worker, settings=settings, environment={THREADS_VARIABLE: "1"} if several else {})
-        executor = self.executor or (LocalExecutor(self.workers, log_dir=self.logs) if several else InlineExecutor())
-        self.on_event(StageStarted(title=title, total=len(jobs), unit="bags"))
+        workers = self.workers if len(jobs) > INLINE else 1
+        work = Work(worker=worker, settings=settings, environment={THREADS_VARIABLE: "1"} if workers > 1 else {})
         found: dict[str, Any] = {}
         queued = [Job(key=bag, data=data) for bag, data in jobs.items()]
-        for outcome in executor.run(work, queued, cancellation=self.cancellation) if queued else ():
-            if not isinstance(outcome, Done):
-                raise UnavailableError(f"bag {outcome.key} was not read: {outcome.message}")
-            found[outcome.key] = outcome.value
-            self.on_event(StageProgress(done=len(found), total=len(jobs)))
-        self.on_event(StageFinished())
+        with Reporter(self.on_event).stage(title, len(jobs), "bags") as progress:
+            for outcome in run_required(
+                work, queued, lost="bag {} was not read", executor=self.executor, workers=workers, log_dir=self.logs,
+                cancellation=self.cancellation,
+            ):  # fmt: skip
+                found[outcome.key] = outcome.value
+                progress(len(found))
         return found
 
     def read(

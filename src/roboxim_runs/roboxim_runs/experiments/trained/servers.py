@@ -21,8 +21,8 @@ from urllib.parse import urlsplit
 
 from roboxim_bringup.process import describe_exit
 from roboxim_core.errors import ConfigError, RoboximError
-from roboxim_runs.events import Notice, OnEvent
-from roboxim_runs.executors import Cancellation, CancelledError, Executor
+from roboxim_runs.events import OnEvent, Reporter
+from roboxim_runs.executors import Cancellation, Executor
 from roboxim_runs.training.commands import last_lines, started
 
 START_S = 900.0
@@ -90,9 +90,10 @@ def serving(
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a") as output:
         process = started(server.words, output)
+    reporter = Reporter(on_event, cancellation)
     try:
-        _wait(server, process, log, cancellation)
-        on_event(Notice(text=f"serving {folder.name} at {server.url}"))
+        _wait(server, process, log, reporter)
+        reporter.notice(f"serving {folder.name} at {server.url}")
         yield
     finally:
         _end(process)
@@ -136,7 +137,7 @@ def _answers(server: Server) -> bool:
         return False
 
 
-def _wait(server: Server, process: subprocess.Popen[bytes], log: Path, cancellation: Cancellation | None) -> None:
+def _wait(server: Server, process: subprocess.Popen[bytes], log: Path, reporter: Reporter) -> None:
     """Wait until a server answers.
 
     Raises:
@@ -145,8 +146,7 @@ def _wait(server: Server, process: subprocess.Popen[bytes], log: Path, cancellat
     """
     deadline = time.monotonic() + START_S
     while not _answers(server):
-        if cancellation is not None and cancellation.is_set():
-            raise CancelledError("the experiment was cancelled")
+        reporter.require_wanted()
         ended = process.poll()
         if ended is not None or time.monotonic() > deadline:
             what = f"ended with {describe_exit(ended)}" if ended is not None else f"did not answer in {START_S:.0f} s"
