@@ -68,11 +68,11 @@ def test_an_experiment_in_two_shards_has_the_bags_and_the_card_of_one_run(experi
     out, shards = tmp_path / "out", [tmp_path / "1", tmp_path / "2"]
     for number, shard in enumerate(shards, start=1):
         experiment(shard, "--only", "generate", "--shard", f"{number}/2")
-    command(["merge", out, *shards])
+    command(["merge", *shards, "--out", out])
     experiment(out, "--only", "generate,export,train")
     for number, shard in enumerate(shards, start=1):
         experiment(shard, "--only", "evaluate", "--shard", f"{number}/2", "--trained", out)
-    command(["merge", out, *shards])
+    command(["merge", *shards, "--out", out])
     experiment(out)
     assert recordings(out / "generate" / "0") == recordings(tmp_path / "whole" / "generate" / "0")
     for run in ("generate/0", "evaluate/leave_out.0/leave_out", "evaluate/baseline.0/baseline"):

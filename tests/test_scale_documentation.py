@@ -86,6 +86,6 @@ def test_a_slurm_array_merged_is_one_run(sbatch, tmp_path):
     script = SCRIPT.replace("--array=1-8", "--array=1-2").replace("shards=8", "shards=2")
     small = ("--episodes", "2", "--size", "32", "--renderer", "tiny")
     sbatch(f'#!/bin/bash\nexec {ROBOXIM} "$@"', "generate", "demos", *small, script=script)
-    subprocess.run([ROBOXIM, "merge", "demos", "demos-shards/1", "demos-shards/2"], cwd=tmp_path, check=True)
+    subprocess.run([ROBOXIM, "merge", "demos-shards/1", "demos-shards/2", "--out", "demos"], cwd=tmp_path, check=True)
     generate(GenerationConfig(out=tmp_path / "whole", episodes=2, size=32, renderer="tiny", workers=1))
     assert recordings(tmp_path / "demos") == recordings(tmp_path / "whole")

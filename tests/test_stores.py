@@ -33,7 +33,7 @@ def test_bags_in_a_store_are_those_of_a_folder_and_export_alike(tmp_path):
     assert generate(GenerationConfig(out=tmp_path / "out", store=url, **SMALL)).summary.endswith("nothing was run")
     files = []
     for source in (str(tmp_path / "whole"), url, str(tmp_path / "out")):
-        words = ["export", "rlds", source, str(tmp_path / f"rlds-{len(files)}")]
+        words = ["export", "rlds", source, "--out", str(tmp_path / f"rlds-{len(files)}")]
         CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False)
         dataset = tmp_path / f"rlds-{len(files)}"
         files.append(

@@ -104,7 +104,7 @@ def example(folder: Path, runs: Path | None) -> dict[str, Path]:
         runs = folder / "demos"
         seconds((*ROBOXIM, "generate", "--episodes", "2", "--workers", "1", "--renderer", "tiny", "--out", str(runs)))
     dataset = folder / "dataset"
-    seconds((*ROBOXIM, "export", "rlds", str(runs), str(dataset)))
+    seconds((*ROBOXIM, "export", "rlds", str(runs), "--out", str(dataset)))
     return {"runs": runs, "bag": min((runs / "episodes").iterdir()), "dataset": dataset}
 
 

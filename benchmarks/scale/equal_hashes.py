@@ -80,7 +80,7 @@ def in_shards(out: Path, kind: str, episodes: int) -> None:
     parts = [out.with_name(f"{out.name}-{number}") for number in range(1, SHARDS + 1)]
     for number, part in enumerate(parts, start=1):
         run(part, kind, episodes, "--workers", "1", "--shard", f"{number}/{SHARDS}")
-    subprocess.run((*ROBOXIM, "merge", str(out), *map(str, parts)), check=True, stdout=subprocess.DEVNULL)
+    subprocess.run((*ROBOXIM, "merge", *map(str, parts), "--out", str(out)), check=True, stdout=subprocess.DEVNULL)
 
 
 def killed(out: Path, kind: str, episodes: int) -> None:

@@ -15,7 +15,7 @@ from types import FrameType
 import click
 from click.shell_completion import CompletionItem
 
-from roboxim_cli.options import keep_lines
+from roboxim_cli import strict
 
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR}
 FOLDERS = ("commands", "ros")
@@ -42,7 +42,7 @@ def command_files() -> dict[str, Path]:
     return dict(sorted(files.items()))
 
 
-class LazyGroup(click.Group):
+class LazyGroup(strict.Group):
     """The group of the subcommands in ``commands/`` and ``ros/``."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -55,9 +55,7 @@ class LazyGroup(click.Group):
         if path is None:
             return None
         parts = path.relative_to(Path(__file__).parents[1]).with_suffix("").parts
-        module = importlib.import_module(".".join(parts))
-        command: click.Command = module.command
-        keep_lines(command)
+        command: click.Command = importlib.import_module(".".join(parts)).command
         return command
 
     def resolve_command(
@@ -103,7 +101,7 @@ def short_help(name: str) -> str:
     return found.group(1) if found else ""
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@strict.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="roboxim", message="%(prog)s %(version)s")
 @click.option(
     "--events", type=click.Path(path_type=Path, dir_okay=False, writable=True), metavar="FILE",

@@ -38,8 +38,9 @@ class Named(click.ParamType[str]):
         if not text or is_path(text) or ":" in text or "=" in text or text.endswith(".py"):
             return text
         known = self._known()
-        if known and text not in known and not self._is_refused(text):
-            raise ConfigError(f"unknown {self.kind} '{text}'; {one_of(known, text)}")
+        for name in text.split(",") if self.kind == "skill" else (text,):
+            if known and name.strip() not in known and not self._is_refused(name):
+                raise ConfigError(f"unknown {self.kind} '{name}'; {one_of(known, name)}")
         return text
 
     def _is_refused(self, text: str) -> bool:

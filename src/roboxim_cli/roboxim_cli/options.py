@@ -48,9 +48,7 @@ def executor_options() -> list[Decorator]:
 
 def with_executor(command: Any) -> Any:
     """Add the options that choose what runs the episodes; a decorator."""
-    for option in reversed(executor_options()):
-        command = option(command)
-    return command
+    return with_options(*executor_options())(command)
 
 
 def with_training_resources(command: Any) -> Any:
@@ -153,71 +151,104 @@ def make_policy_servers(executor: str, address: str, resources: str, servers: in
     return [RayExecutor(1, address=address, resources=wanted) for _ in range(servers or bool(taken))]
 
 
+def _joined(_: click.Context, __: click.Parameter, values: tuple[str, ...]) -> str:
+    """Return the values of an option that repeats as one text with commas."""
+    return ",".join(values)
+
+
+SHARED: dict[str, dict[str, Any]] = {
+    "task": dict(type=Named("task"), default="", show_default="pick_cube", help="Task of config/tasks or YAML file."),
+    "skill": dict(
+        type=Named("skill"), multiple=True, callback=_joined, metavar="NAME[,NAME]",
+        help="A skill instead of a task, or several, which share the episodes; roboxim tasks list shows them.",
+    ),
+    "object": dict(
+        name="objects", type=Models("object"), multiple=True, metavar="[ROLE=]MODEL[,MODEL]",
+        help="Object models of the target, or of another role; may be repeated.",
+    ),
+    "distractors": dict(default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3."),
+    "colors": dict(default="", metavar="A,B", help="Colours of the target, e.g. red,blue."),
+    "out": dict(type=click.Path(path_type=Path), show_default=True),
+    "episodes": dict(type=click.IntRange(1), show_default=True),
+    "seed": dict(type=click.IntRange(0), default=0, show_default=True, help="Seed of the run."),
+    "workers": dict(type=click.IntRange(1), show_default=True, help="Processes."),
+    "size": dict(default="as-configured", show_default=True, metavar="SIZE|WIDTHxHEIGHT"),
+    "rate": dict(
+        type=click.FloatRange(0), default=0.0, metavar="HZ",
+        help="Control rate; 0: the policy's, or the task's if the policy acts at any rate.",
+    ),
+    "renderer": dict(
+        type=Named("renderer", *RENDERERS), default="raster", show_default=True,
+        help="raster (needs EGL), tiny (PyBullet's own), or photo (Blender; slow).",
+    ),
+    "depth": dict(is_flag=True, help="Also record depth."),
+    "segmentation": dict(is_flag=True, help="Also record segmentation."),
+    "shard": dict(
+        default="", metavar="I/N",
+        help="Run only the I-th of N parts of the episodes, in a folder of its own; roboxim merge joins them.",
+    ),
+    "store": dict(
+        default="", metavar="URL",
+        help="Upload bags and results, e.g. to s3://bucket/demos; OUT keeps the results. Needs roboxim[store].",
+    ),
+    "repair": dict(
+        is_flag=True, help="Repeat episodes whose bag or result is lost or damaged, instead of refusing to continue.",
+    ),
+}  # fmt: skip
+"""Options that several commands have, which mean the same everywhere; a command may change the help and the default."""
+
+
+def option(*words: str, **changes: Any) -> Decorator:
+    """Return a decorator that adds a shared option.
+
+    Args:
+        *words: Its name in `SHARED`, without dashes, after a short form such as ``-s`` if there is one.
+        **changes: What differs in this command.
+    """
+    settings = {**SHARED[words[-1]], **changes}
+    name = settings.pop("name", words[-1])
+    return click.option(*words[:-1], f"--{words[-1]}", name, **settings)
+
+
+def with_options(*decorators: Decorator) -> Decorator:
+    """Return a decorator that adds options in the given order."""
+
+    def decorate(command: Any) -> Any:
+        for add in reversed(decorators):
+            command = add(command)
+        return command
+
+    return decorate
+
+
+def task_options() -> list[Decorator]:
+    """Return the options that choose a task and change it."""
+    return [option(name) for name in ("task", "skill", "object", "distractors", "colors")]
+
+
 def episode_options(*, episodes: int, out: str) -> Decorator:
     """Return a decorator that adds the options of every run of episodes.
 
     Args:
-        episodes: Default number.
+        episodes: Number of a task of one skill, for the help.
         out: Default folder.
     """
-    options = [
-        click.option(
-            "--task", type=Named("task"), default="", show_default="pick_cube",
-            help="Task of config/tasks, or a YAML file.",
+    return with_options(
+        *task_options(),
+        option("out", default=out, help="Run's folder."),
+        option(
+            "episodes", default=0, type=click.IntRange(0), show_default=f"{episodes}; of a mix, its own number",
+            help="Number of episodes.",
         ),
-        click.option(
-            "--skill", type=Named("skill"), default="", help="A skill instead of a task; roboxim tasks list shows them."
-        ),
-        click.option(
-            "--object", "objects", type=Models("object"), multiple=True, metavar="[ROLE=]MODEL[,MODEL]",
-            help="Object models of the target, or of another role; may be repeated.",
-        ),
-        click.option("--distractors", default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3."),
-        click.option("--colors", default="", metavar="A,B", help="Colours of the target, e.g. red,blue."),
-        click.option("--out", type=click.Path(path_type=Path), default=out, show_default=True, help="Run's folder."),
-        click.option(
-            "--episodes", type=click.IntRange(1), default=episodes, show_default=True, help="Number of episodes."
-        ),
-        click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the run."),
-        click.option(
-            "--workers", type=click.IntRange(1), default=min(2, os.cpu_count() or 1), show_default="cores, at most 2",
+        option("seed"),
+        option(
+            "workers", default=min(2, os.cpu_count() or 1), show_default="cores, at most 2",
             help="Processes, each with a whole graph.",
         ),
-        click.option(
-            "--size", default="as-configured", show_default=True,
-            help="Image size, SIZE or WIDTHxHEIGHT, of cameras for which the policy states none.",
-        ),
-        click.option(
-            "--rate", type=click.FloatRange(0), default=0.0, metavar="HZ",
-            help="Control rate; 0: the policy's, or the task's if the policy acts at any rate.",
-        ),
-        click.option(
-            "--renderer", type=Named("renderer", *RENDERERS), default="raster", show_default=True,
-            help="raster (needs EGL), tiny (PyBullet's own), or photo (Blender; slow).",
-        ),
-        click.option("--depth", is_flag=True, help="Also record depth."),
-        click.option("--segmentation", is_flag=True, help="Also record segmentation."),
-        click.option(
-            "--repair", is_flag=True,
-            help="Repeat episodes whose bag or result is lost or damaged, instead of refusing to continue.",
-        ),
-        click.option(
-            "--shard", default="", metavar="I/N",
-            help="Run only the I-th of N parts of the episodes, in a folder of its own; roboxim merge joins them.",
-        ),
-        click.option(
-            "--store", default="", metavar="URL",
-            help="Upload bags and results, e.g. to s3://bucket/demos; OUT keeps the results. Needs roboxim[store].",
-        ),
+        option("size", help="Image size of cameras for which the policy states none."),
+        *(option(name) for name in ("rate", "renderer", "depth", "segmentation", "repair", "shard", "store")),
         *executor_options(),
-    ]  # fmt: skip
-
-    def decorate(command: Any) -> Any:
-        for option in reversed(options):
-            command = option(command)
-        return command
-
-    return decorate
+    )  # fmt: skip
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -234,11 +265,3 @@ def parse_size(text: str) -> tuple[int, int]:
     if not found or not 16 <= int(found[1]) <= 4096 or not 16 <= int(found[2] or found[1]) <= 4096:
         raise ConfigError(f"an image size is SIZE or WIDTHxHEIGHT with 16 to 4096 px, got '{text}'")
     return int(found[1]), int(found[2] or found[1])
-
-
-def keep_lines(command: click.Command) -> None:
-    r"""Turn a line ``\b`` of a raw docstring into click's mark for a paragraph that is not rewrapped."""
-    if command.help:
-        command.help = command.help.replace("\\b\n", "\b\n")
-    for sub in getattr(command, "commands", {}).values():
-        keep_lines(sub)

@@ -53,13 +53,13 @@ def test_a_dataset_is_described_and_viewed(dataset, tmp_path):
 
 
 def test_a_converted_copy_is_equal_and_a_divided_one_is_not(dataset, tmp_path):
-    run("convert", "rlds", dataset, tmp_path / "c", "--encoding", "png", "--name", "mine")
+    run("convert", "rlds", dataset, "--out", tmp_path / "c", "--encoding", "png", "--name", "mine")
     assert "EQUAL" in run("diff", dataset, tmp_path / "c", "--images", "exact")
-    run("split", dataset, tmp_path / "s", "--into", "train=3,val=0")
+    run("split", dataset, "--out", tmp_path / "s", "--into", "train=3,val=0")
     assert "splits: {'train': 4} against {'train': 3, 'val': 1}" in run("diff", dataset, tmp_path / "s", code=1)
-    run("split", dataset, tmp_path / "apart", "--into", "train=3,val=0", "--apart")
+    run("split", dataset, "--out", tmp_path / "apart", "--into", "train=3,val=0", "--apart")
     assert dict(open_dataset(tmp_path / "apart" / "val").splits) == {"train": 1}
-    run("merge", tmp_path / "apart" / "train", tmp_path / "apart" / "val", tmp_path / "m")
+    run("merge", tmp_path / "apart" / "train", tmp_path / "apart" / "val", "--out", tmp_path / "m")
     found = open_dataset(tmp_path / "m")
     assert {episode.instruction for episode in found.episodes()} == {f"task {n}" for n in range(4)}
     assert {episode.metadata["n"] for episode in found.episodes()} == {0, 1, 2, 3}

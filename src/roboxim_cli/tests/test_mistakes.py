@@ -38,7 +38,7 @@ def run(tmp_path):
 
 
 def test_training_needs_a_dataset_not_a_run(run, tmp_path):
-    assert f"roboxim export rlds {run} {run}-rlds" in mistake("train", "bc", run, "--out", tmp_path / "bc")
+    assert f"roboxim export rlds {run} --out {run}-rlds" in mistake("train", "bc", run, "--out", tmp_path / "bc")
     assert "no such folder" in mistake("train", "bc", tmp_path / "nothere", "--out", tmp_path / "bc")
     assert not (tmp_path / "bc").exists()
 
@@ -61,7 +61,7 @@ def test_a_path_of_the_wrong_kind_is_not_called_a_damaged_bag(run, tmp_path):
     for words in (("info", file), ("check", file), ("play", file), ("repair", file)):
         assert "my_policy.py is not a bag" in mistake("bag", *words)
     assert f"is a run, not one bag; name one, e.g. {run}/episodes/demo-0-00000-0" in mistake("bag", "play", run)
-    assert "no such folder" in mistake("export", "rlds", tmp_path / "nothere", tmp_path / "rlds")
+    assert "no such folder" in mistake("export", "rlds", tmp_path / "nothere", "--out", tmp_path / "rlds")
 
 
 def test_an_export_says_that_its_run_is_not_finished(tmp_path):
@@ -98,7 +98,7 @@ def test_a_broken_task_is_named_and_hides_no_other(tmp_path, monkeypatch):
         ("generate", "--out", "x" * 300),
         ("train", "bc", "x" * 300),
         ("train", "bc", "somewhere", "--out", "x" * 300),
-        ("export", "rlds", "somewhere", "x" * 300),
+        ("export", "rlds", "somewhere", "--out", "x" * 300),
         ("up", "--id", "x" * 300),
     ],
     ids=lambda words: " ".join(words).replace("x" * 300, "LONG"),

@@ -74,7 +74,7 @@ def test_damaged_bag_is_named_and_repaired(runtime, graph, tmp_path):
     assert error.value.code == ErrorCode.BAG_DAMAGED
     with pytest.raises(RoboximError, match="is damaged: all 23 ticks, failure"):
         roboxim("bag", "info", damaged)
-    result = CliRunner().invoke(group, ["bag", "repair", str(damaged), str(tmp_path / "out")])
+    result = CliRunner().invoke(group, ["bag", "repair", str(damaged), "--out", str(tmp_path / "out")])
     assert (result.exit_code, "all 23 ticks" in result.stdout) == (0, True), result.stdout
     repaired = tmp_path / "out" / f"{bag.name}.repaired"
     assert "whole, 23 ticks" in roboxim("bag", "check", repaired)

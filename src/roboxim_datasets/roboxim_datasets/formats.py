@@ -41,6 +41,6 @@ def _not_one(path: Path, found: list[tuple[str, Path]], format: str) -> str:
         names = ", ".join(f"{at} ({name})" for name, at in found[:5]) + (", ..." if len(found) > 5 else "")
         return f"{path} holds {len(found)} datasets; name one of {names}"
     if any((path / name).exists() for name in ("episodes", "run.json")) or any(path.glob("**/*.mcap")):
-        return f"{path} holds bags, not a dataset; export them first: roboxim export rlds {path} {path}-rlds"
+        return f"{path} holds bags, not a dataset; export them first: roboxim export rlds {path} --out {path}-rlds"
     kinds = format or ", ".join(FORMATS)
     return f"{path} holds no dataset (formats: {kinds}); name the folder that 'roboxim export' or another tool wrote"

@@ -125,6 +125,10 @@ def list_bags(path: Path | str) -> list[Path]:
         failed = (
             f"; the {apart} in set_apart did not succeed" if apart else "; expected folders that hold an .mcap file"
         )
+        if runs := [str(results.parent) for results in sorted(folder.glob(f"*/{RESULTS_FILE}"))]:
+            raise RecorderError(
+                f"{folder} is an evaluation with a folder of bags for each policy; name a policy's: {' or '.join(runs)}"
+            )
         raise RecorderError(f"{folder} has no bags{failed}")
     return bags
 

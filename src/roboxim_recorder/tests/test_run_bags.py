@@ -11,6 +11,7 @@ from roboxim_core.config import to_json
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_recorder.export.rlds import ExportConfig, export_rlds
 from roboxim_recorder.run_bags import read_results, run_bags
+from roboxim_recorder.summary import dataset_summary
 
 
 @pytest.fixture
@@ -96,3 +97,13 @@ def test_a_torn_last_line_is_left_out_and_a_damaged_one_is_named(run):
     path.write_bytes(b"\xff\n")
     with pytest.raises(ConfigError, match=r"results.jsonl cannot be read"):
         run_bags(run)
+
+
+def test_an_evaluations_folder_names_its_policies_folders(run):
+    evaluation = run.parent / "evaluation"
+    evaluation.mkdir()
+    shutil.copytree(run, evaluation / "bc")
+    shutil.copytree(run, evaluation / "random")
+    for read in (run_bags, dataset_summary):
+        with pytest.raises(RecorderError, match=rf"name a policy's: {evaluation}/bc or {evaluation}/random"):
+            read(evaluation)

@@ -36,6 +36,8 @@ LONGEST_RUN_ID = 100
 """Largest number of characters of a run's name, which is also a file's name."""
 LARGEST_DOMAIN = 100
 """Largest domain used. Ports of higher domains reach into the ephemeral range, where any connection may take them."""
+JOINABLE = ("up", "node", "policy", "play")
+"""Kinds of runs that commands and new nodes join by default; jobs such as ``generate`` have nodes of their own."""
 _TRANSPORTS = ("user", "network")
 
 
@@ -313,7 +315,8 @@ def find_run(run_id: str | None = None) -> Run:
     """Return a live run.
 
     Args:
-        run_id: Name of the run; none: ``$ROBOXIM_RUN``, else the only live run.
+        run_id: Name of the run; none: ``$ROBOXIM_RUN``, else the only live run, else the only one that somebody started
+            to work with (``JOINABLE``).
 
     Raises:
         ConfigError: When the run is unknown, no run is live, or several are live without a choice.
@@ -328,6 +331,7 @@ def find_run(run_id: str | None = None) -> Run:
         raise ConfigError(f"no live run '{wanted}'; live runs:{listing or ' none'}")
     if not runs:
         raise ConfigError("no run is alive on this machine; start one with: roboxim up")
-    if len(runs) > 1:
+    graphs = [run for run in runs if run.kind in JOINABLE] if len(runs) > 1 else runs
+    if len(graphs) != 1:
         raise ConfigError(f"several runs are alive; choose one with --run ID:{listing}")
-    return runs[0]
+    return graphs[0]

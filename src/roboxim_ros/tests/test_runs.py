@@ -156,3 +156,15 @@ def test_a_node_opens_no_socket():
 @pytest.mark.ros
 def test_open_network_listens_on_every_interface():
     assert any(line.split()[1] == "00000000" for line in _bound_addresses("network"))
+
+
+def test_a_job_does_not_hide_the_only_graph(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("ROBOXIM_RUN", raising=False)
+    with runs.register_run("evaluate", domain=41) as job, runs.register_run("up", domain=42) as graph:
+        assert runs.find_run().id == graph.id
+        assert runs.find_run(job.id).id == job.id
+        with runs.register_run("up", domain=43), pytest.raises(ConfigError, match="several runs are alive"):
+            runs.find_run()
+    with runs.register_run("evaluate", domain=41) as job:
+        assert runs.find_run().id == job.id

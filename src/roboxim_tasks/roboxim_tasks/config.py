@@ -16,6 +16,7 @@ from typing import Any
 
 from roboxim_core import limits
 from roboxim_core.config import LocatedMap, line_of, load_yaml, located, named_config, parse_yaml
+from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.plain_data.merging import merged
@@ -114,7 +115,7 @@ class CellConfig:
     """Part of a mix: every combination of its tasks and models is a cell with a fixed number of episodes."""
 
     tasks: tuple[str, ...]
-    """Names in ``config/tasks``, or files; each describes one skill."""
+    """Names in ``config/tasks``, or files; each describes one skill. A skill without a task: its defaults."""
     models: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """Role to object models, with one cell per model; omitted roles vary as the task says."""
     exclude: tuple[dict[str, str], ...] = ()
@@ -251,6 +252,9 @@ def task_mix(data: Any, *, source: str = "task mix", library: ModelLibrary | Non
     used = {name: (number, place) for number, cell in enumerate(mix.cells) for place, name in enumerate(cell.tasks)}
     tasks = {}
     for name, (number, place) in used.items():
+        if name in SKILLS and name not in config_names("tasks"):
+            tasks[name] = {"skill": name}
+            continue
         with document.section(("cells", number, "tasks", place)):
             path = named_config("tasks", name)
         tasks[name] = located(load_yaml(path), str(path))

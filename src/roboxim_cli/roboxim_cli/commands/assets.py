@@ -6,21 +6,21 @@ from pathlib import Path
 
 import click
 
+from roboxim_cli import strict
 from roboxim_cli.named import Named
+from roboxim_cli.options import option, parse_size
 
 
-@click.group()
+@strict.group()
 def command() -> None:
     """Draw the objects on one contact sheet; check, draft or simplify your own."""
 
 
 @command.command("sheet")
 @click.argument("objects", type=Named("object"), nargs=-1)
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), default="sheet.png", show_default=True)
-@click.option("--renderer", "renderer_name", default="raster", show_default=True, help="Renderer by name.")
-@click.option(
-    "--size", default=256, show_default=True, type=click.IntRange(32, 2048), help="Side of each picture [px]."
-)
+@option("out", default="sheet.png", help="File of the picture.")
+@option("renderer", name="renderer_name")
+@option("size", default="256", help="Side of each picture.")
 @click.option("--columns", default=5, show_default=True, type=click.IntRange(1), help="Pictures in a row.")
 @click.option("--labels/--no-labels", default=True, show_default=True, help="Names under the pictures.")
 @click.option("--shuffle", type=int, help="Seed of a random order, for a blind test; the order is printed.")
@@ -29,7 +29,7 @@ def sheet(
     objects: tuple[str, ...],
     out: Path,
     renderer_name: str,
-    size: int,
+    size: str,
     columns: int,
     labels: bool,
     shuffle: int | None,
@@ -66,7 +66,7 @@ def sheet(
         click.echo("\n".join(f"{k + 1}: {text}" for k, text in enumerate(texts)))
     renderer = make_renderer(renderer_name)
     try:
-        pictures = [draw_object(renderer, library, entity, size) for entity in entities]
+        pictures = [draw_object(renderer, library, entity, parse_size(size)[0] or 256) for entity in entities]
     finally:
         renderer.close()
     picture = contact_sheet(pictures, texts if labels else None, columns)
@@ -120,7 +120,7 @@ def new(mesh: Path) -> None:
 @click.option(
     "--triangles", default=1500, show_default=True, type=click.IntRange(20), help="Approximate number of triangles."
 )
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="[default: <mesh>_simple.glb]")
+@option("out", help="File of the copy; default: MESH_simple.glb.")
 def simplify(mesh: Path, triangles: int, out: Path | None) -> None:
     """Write a copy of MESH with fewer triangles and the same materials."""
     from roboxim_runs.assets.check import simplify as simplified

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import click
 
+from roboxim_cli import strict
 
-@click.command()
+
+@strict.command()
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def command(shell: str) -> None:
     r"""Print a shell's completion script.

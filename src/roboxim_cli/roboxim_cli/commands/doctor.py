@@ -7,6 +7,8 @@ import json
 
 import click
 
+from roboxim_cli import strict
+
 _SIGNS = {
     "ok": ("ok      ", "green"),
     "absent": ("optional", "blue"),
@@ -15,7 +17,7 @@ _SIGNS = {
 }
 
 
-@click.command()
+@strict.command()
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(as_json: bool) -> None:
     """Check what this machine has, what is missing, how to install it, and which parts work without it.

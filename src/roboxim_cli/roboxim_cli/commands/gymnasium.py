@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import click
 
+from roboxim_cli import strict
 
-@click.group()
+
+@strict.group()
 def command() -> None:
     """Serve the Gymnasium environments to programs of other Python environments, e.g. LeRobot."""
 

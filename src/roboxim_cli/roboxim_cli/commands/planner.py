@@ -7,8 +7,10 @@ from typing import Any
 
 import click
 
+from roboxim_cli import strict
 
-@click.group()
+
+@strict.group()
 def command() -> None:
     """Replay failed planner requests, and draw them.
 

@@ -7,11 +7,13 @@ from pathlib import Path
 import click
 
 from roboxim_bringup.attach import attach_options
+from roboxim_cli import strict
 from roboxim_cli.named import Named
+from roboxim_cli.options import option, parse_size
 from roboxim_cli.ros.node import membership_options, run_node
 
 
-@click.group()
+@strict.group()
 def command() -> None:
     """Serve a policy to the graph, list the registered ones, and explain conventions."""
 
@@ -35,10 +37,7 @@ def command() -> None:
 @click.option(
     "--convention", default="", help="Convention of requests and answers, with --wire; default: the policy's own."
 )
-@click.option(
-    "--size", type=click.IntRange(16, 4096), default=256, show_default=True,
-    help="Side of the pictures of cameras for which the policy names no size [px], with --wire.",
-)  # fmt: skip
+@option("size", default="256", help="Side of the pictures of cameras for which the policy names none, with --wire.")
 @membership_options
 @attach_options
 def serve(
@@ -49,7 +48,7 @@ def serve(
     host: str,
     port: int,
     convention: str,
-    size: int,
+    size: str,
     params_files: tuple[str, ...],
     assignments: tuple[str, ...],
     open_network: bool,
@@ -69,7 +68,7 @@ def serve(
     roboxim evaluate --policy openpi --option url=ws://127.0.0.1:8000 --option convention=server --option version=bc
     """
     if wire:
-        _serve_wire(spec, options, wire=wire, host=host, port=port, convention=convention, size=size)
+        _serve_wire(spec, options, wire=wire, host=host, port=port, convention=convention, size=parse_size(size)[0])
         return
     from roboxim_bringup.graph import PolicyLaunch
     from roboxim_bringup.parameters import parse_options
@@ -110,7 +109,7 @@ def _serve_wire(
         stop.wait()
 
 
-@command.command("check")
+@command.command("check", old={"--sheet": "--out"})
 @click.option("--policy", "spec", type=Named("policy"), required=True, help="A remote policy: openpi, vla_eval, ...")
 @click.option(
     "-o", "--option", "options", multiple=True, metavar="KEY=VALUE",
@@ -119,11 +118,8 @@ def _serve_wire(
 @click.option("--task", type=Named("task"), default="", help="Task of config/tasks, or a YAML file.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the episode.")
 @click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer.")
-@click.option(
-    "--sheet", type=click.Path(dir_okay=False, path_type=Path), default=Path("policy_check.png"), show_default=True,
-    help="Where to write the sheet of the pictures that were sent.",
-)  # fmt: skip
-def check(spec: str, options: tuple[str, ...], task: str, seed: int, renderer: str, sheet: Path) -> None:
+@option("out", default="policy_check.png", help="File of the pictures that were sent.")
+def check(spec: str, options: tuple[str, ...], task: str, seed: int, renderer: str, out: Path) -> None:
     r"""Ask a policy server in one episode before you evaluate it, and show what looks wrong.
 
     \b
@@ -153,11 +149,11 @@ def check(spec: str, options: tuple[str, ...], task: str, seed: int, renderer: s
         found = check_policy(
             policy, task_text(task), seed=seed, renderer=renderer, on_step=lambda text: click.echo(text, err=True)
         )
-    save_sheet(found, sheet)
+    save_sheet(found, out)
     for line in found.lines:
         click.echo(line)
     click.echo(f"\nround trip  {found.round_trip}")
-    click.echo(f"pictures    {sheet}")
+    click.echo(f"pictures    {out}")
     for text in found.suspicions:
         click.echo(f"suspicious  {text}")
     if not found.passed:
@@ -172,8 +168,8 @@ def list_policies() -> None:
 
     for name, policy in catalog("policies")["policies"].items():
         click.echo(f"{name}  {policy['about']}")
-        for option, default in policy["options"].items():
-            click.echo(f"    {option}: {default}")
+        for key, default in policy["options"].items():
+            click.echo(f"    {key}: {default}")
 
 
 @command.command("conventions")

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
+from roboxim_cli import strict
+
 if TYPE_CHECKING:
     from roboxim_ros.runs import Run
     from roboxim_runs.storage.state import RunState
 
 
-@click.command()
+@strict.command()
 @click.argument("folders", type=click.Path(path_type=Path), nargs=-1, metavar="[FOLDER]...")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(folders: tuple[Path, ...], as_json: bool) -> None:

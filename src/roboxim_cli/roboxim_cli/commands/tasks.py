@@ -7,10 +7,11 @@ from typing import Any
 
 import click
 
-from roboxim_cli.named import Models, Named
+from roboxim_cli import strict
+from roboxim_cli.options import option, task_options, with_options
 
 
-@click.group()
+@strict.group()
 def command() -> None:
     """List the skills and tasks, and print the tasks of a seed."""
 
@@ -48,19 +49,9 @@ def _show(skills: dict[str, Any], tasks: dict[str, Any]) -> None:
         click.echo(f"  {'':<28}   {task['about']}")
 
 
-@command.command("sample")
-@click.option(
-    "--task", type=Named("task"), default="", show_default="pick_cube", help="Task of config/tasks, or a YAML file."
-)
-@click.option("--skill", type=Named("skill"), default="", help="A skill instead of a task.")
-@click.option(
-    "--object", "objects", type=Models("object"), multiple=True, metavar="[ROLE=]MODEL[,MODEL]",
-    help="Object models of a role.",
-)  # fmt: skip
-@click.option("--distractors", default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3.")
-@click.option("--colors", default="", metavar="A,B", help="Colours of the target, e.g. red,blue.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the run.")
-@click.option("--count", type=click.IntRange(1), default=10, show_default=True, help="Number of tasks.")
+@command.command("sample", old={"--count": "--episodes"})
+@with_options(*task_options(), option("seed"))
+@option("episodes", default=10, help="Number of tasks.")
 @click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="Index of the first task.")
 @click.option(
     "--purpose", type=click.Choice(["demo", "eval", "train", "test"]), default="demo", show_default=True,
@@ -68,14 +59,13 @@ def _show(skills: dict[str, Any], tasks: dict[str, Any]) -> None:
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, one task per line.")
 def sample(
-    task: str, skill: str, objects: tuple[str, ...], distractors: str, colors: str, seed: int, count: int, first: int,
-    purpose: str, as_json: bool,
+    seed: int, episodes: int, first: int, purpose: str, as_json: bool, **choice: Any
 ) -> None:  # fmt: skip
     r"""Print the tasks of a seed, exactly as generate and evaluate run them.
 
     \b
     roboxim tasks sample --seed 7
-    roboxim tasks sample --skill place_on --object apple,knife --count 5
+    roboxim tasks sample --skill place_on --object apple,knife --episodes 5
     """
     from roboxim_core.config import digest, to_json
     from roboxim_core.models.library import ModelLibrary
@@ -86,9 +76,8 @@ def sample(
     from roboxim_tasks.sampling.episodes import EpisodeGenerator
 
     generator = EpisodeGenerator(ModelLibrary())
-    text = task_text(task, skill=skill, objects=objects, distractors=distractors, colors=colors)
-    config = parse_task_config(text)
-    for index in range(first, first + count):
+    config = parse_task_config(task_text(**choice))
+    for index in range(first, first + episodes):
         drawn = generator.sample(SeedPath(run_seed=seed, purpose=purpose, index=index), config)
         if as_json:
             click.echo(to_json(drawn))

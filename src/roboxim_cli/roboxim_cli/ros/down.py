@@ -9,11 +9,12 @@ import time
 import click
 
 from roboxim_bringup.attach import run_option
+from roboxim_cli import strict
 
 GRACE_S = 60.0
 
 
-@click.command()
+@strict.command()
 @run_option
 @click.option("--all", "every", is_flag=True, help="End all runs of this user.")
 def command(run_id: str | None, every: bool) -> None:

@@ -7,9 +7,10 @@ import shlex
 import click
 
 from roboxim_bringup.attach import run_option
+from roboxim_cli import strict
 
 
-@click.command()
+@strict.command()
 @run_option
 @click.option("--shell", type=click.Choice(["sh", "fish"]), default="sh", show_default=True, help="For which shell.")
 def command(run_id: str | None, shell: str) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import click
 
+from roboxim_cli import strict
 
-@click.group()
+
+@strict.group()
 def command() -> None:
     """List and show the installed message, service and action types; needs no running graph."""
 

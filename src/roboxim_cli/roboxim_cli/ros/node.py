@@ -11,10 +11,11 @@ from typing import Any
 import click
 
 from roboxim_bringup.attach import absolute, attach_options, attached
+from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
 
 
-class _NodeGroup(click.Group):
+class _NodeGroup(strict.Group):
     """The group ``roboxim node``: ``node sim`` starts a node, ``node list`` lists the running ones."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -28,11 +29,7 @@ class _NodeGroup(click.Group):
         return _starter(cmd_name) if cmd_name in NODES else super().get_command(ctx, cmd_name)
 
 
-JOINABLE = ("up", "node", "policy", "play")
-"""Kinds of runs that a new node joins by default; jobs such as ``generate`` start and end their own nodes."""
-
-
-@click.group(cls=_NodeGroup)
+@strict.group(cls=_NodeGroup)
 def command() -> None:
     """Start one node of the graph, or inspect running nodes."""
 
@@ -45,7 +42,7 @@ def _starter(name: str) -> click.Command:
 
     The node joins the only live run (or --run). Without a live run, it starts its own.
     """
-    return click.command(name)(namespace_option(membership_options(attach_options(start))))
+    return strict.command(name)(namespace_option(membership_options(attach_options(start))))
 
 
 def membership_options(start: Any) -> Any:
@@ -162,7 +159,7 @@ def membership(
         ConfigError: When there is no such run, or several to choose from.
     """
     from roboxim_bringup.attach import join_run
-    from roboxim_ros.runs import activate_transport, find_run, free_domain, leave_run, live_runs, register_run
+    from roboxim_ros.runs import JOINABLE, activate_transport, find_run, free_domain, leave_run, live_runs, register_run
 
     if domain is not None:
         join_run(run_id, domain)

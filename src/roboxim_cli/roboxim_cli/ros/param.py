@@ -7,10 +7,11 @@ from typing import Any
 import click
 
 from roboxim_bringup.attach import Peer, absolute, attach_options, attached, call_node, parameter_names
+from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
 
 
-@click.group()
+@strict.group()
 def command() -> None:
     """List, read and set the parameters of running nodes."""
 

@@ -7,10 +7,11 @@ from typing import Any
 import click
 
 from roboxim_bringup.attach import attach_options, attached
+from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
 
 
-@click.group()
+@strict.group()
 def command() -> None:
     """List and call the services of a running graph."""
 

@@ -9,10 +9,11 @@ from typing import Any
 import click
 
 from roboxim_bringup.attach import Peer, absolute, attach_options, attached
+from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
 
 
-@click.group()
+@strict.group()
 def command() -> None:
     """List, print, time and publish the topics of a running graph."""
 

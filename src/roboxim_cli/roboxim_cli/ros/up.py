@@ -11,11 +11,12 @@ import click
 
 from roboxim_bringup.attach import absolute
 from roboxim_bringup.graph import NODES
+from roboxim_cli import strict
 from roboxim_cli.named import Named
 from roboxim_cli.ros.node import membership_options, namespace_option
 
 
-@click.command()
+@strict.command()
 @click.option("--processes", is_flag=True, help="One process per node; default: all nodes in this process.")
 @click.option(
     "--only", "nodes", multiple=True, type=click.Choice(list(NODES)), help="Start only this node; may be repeated."

@@ -330,7 +330,7 @@ def _not_one(path: Path, found: list[Path]) -> str:
     if not path.exists():
         return f"no such folder: {path}; expected a dataset, as 'roboxim export rlds' makes it"
     if any((path / name).exists() for name in ("episodes", "run.json")) or any(path.glob("**/*.mcap")):
-        return f"{path} holds bags, not a dataset; export them first: roboxim export rlds {path} {path}-rlds"
+        return f"{path} holds bags, not a dataset; export them first: roboxim export rlds {path} --out {path}-rlds"
     return f"{path} holds 0 datasets; name the folder of one, which holds dataset_info.json"
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from roboxim_core.errors import ErrorCode, RecorderError
+from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, one_of
 from roboxim_core.whole_files import write_whole
 from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.export import ExportReport, Selection, export_bags
@@ -25,16 +25,48 @@ STAGED = ".gate"
 """Ending of the folder of an export until it has passed the gate."""
 REFUSED = ".refused"
 """Ending of the folder of an export that has not passed the gate."""
+TRAINERS: dict[str, tuple[str, dict[str, str]]] = {
+    **{name: ("lerobot", {"version": "3.0", "columns": "lerobot"}) for name in ("act", "diffusion", "smolvla", "pi0")},
+    "openpi": ("lerobot", {"version": "2.1", "columns": "openpi"}),
+    "groot": ("lerobot", {"version": "2.1", "columns": "groot"}),
+    **{name: ("rlds", {}) for name in ("bc", "octo", "openvla")},
+    **{name: ("hdf5", {}) for name in ("robomimic", "diffusion_policy", "libero")},
+}
+"""Trainer to the format that it reads, and the options of its export."""
 IfExists = Literal["refuse", "overwrite", "keep"]
 
 __all__ = [
     "ExportConfig",
+    "TRAINERS",
     "ExportReport",
     "Hdf5Config",
     "LeRobotConfig",
     "export_dataset",
+    "trainer_options",
     "unfinished",
 ]
+
+
+def trainer_options(trainer: str, form: str, given: Mapping[str, str]) -> dict[str, str]:
+    """Return the options of an export that a trainer reads.
+
+    Args:
+        trainer: One of `TRAINERS`.
+        form: Format of the export.
+        given: Options that were chosen, which must be the trainer's.
+
+    Raises:
+        ConfigError: When the trainer is unknown, reads another format, or needs another option than the given one.
+    """
+    if trainer not in TRAINERS:
+        raise ConfigError(f"unknown trainer '{trainer}'; {one_of(TRAINERS, trainer)}")
+    reads, options = TRAINERS[trainer]
+    if reads != form:
+        raise ConfigError(f"{trainer} reads {reads}: roboxim export {reads} ... --for {trainer}")
+    for name, value in options.items():
+        if given.get(name, value) != value:
+            raise ConfigError(f"{trainer} needs --{name} {value}, got --{name} {given[name]}; leave it out")
+    return options
 
 
 def export_dataset(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ErrorCode, RoboximError
@@ -28,8 +29,7 @@ class GenerationConfig(EpisodesConfig):
 
     out: Path | str = "runs/demos"
     """The run's folder."""
-    episodes: int = 50
-    """Number of demonstrations."""
+    usual: ClassVar[int] = 50
     max_attempts: int = 5
     """Largest number of attempts per index."""
     noise_mm: float = 3.0
@@ -138,6 +138,7 @@ def generate(
         RecorderError: ``BAG_DAMAGED`` when bags of earlier results have vanished.
         RoboximError: When a graph has a fault that a new worker does not recover from.
     """
+    config = config.sized(config.task_text(), on_event)
     job = config.job()
     out = Path(config.out)
     folder = RunFolder(out)

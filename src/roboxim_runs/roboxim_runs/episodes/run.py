@@ -7,9 +7,9 @@ import itertools
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 from roboxim_bringup.graph import GraphConfig, PolicyLaunch
 from roboxim_core.config import from_plain, to_plain
@@ -19,8 +19,8 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.seeds import SeedPath
 from roboxim_core.shards import Shard
 from roboxim_runs.episodes.staging import clear_staging, take_over
-from roboxim_runs.episodes.task_choice import DEFAULT_TASK, task_text
-from roboxim_runs.events import EpisodeFinished, OnEvent, Reporter, ignore
+from roboxim_runs.episodes.task_choice import DEFAULT_TASK, mix_of, shares_text, task_text
+from roboxim_runs.events import EpisodeFinished, Notice, OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation, Done, Executor, LocalExecutor, Lost, Note, Work
 from roboxim_runs.executors import Job as ExecutorJob
 from roboxim_runs.executors.protocol import Prepare, unchanged
@@ -42,12 +42,12 @@ class EpisodesConfig:
 
     out: Path | str
     """The run's folder."""
-    episodes: int
-    """Number of episodes."""
+    episodes: int = 0
+    """Number of episodes; 0: those of a mix, else `usual`."""
     task: str = ""
     """Task of ``config/tasks``, or a YAML file; empty: that of the skill, or ``pick_cube``."""
     skill: str = ""
-    """A skill instead of a task."""
+    """A skill instead of a task; or several, separated by commas, which share the episodes."""
     objects: Sequence[str] = ()
     """``[ROLE=]MODEL[,MODEL]``: object models of the target, or of another role."""
     distractors: str = ""
@@ -75,6 +75,9 @@ class EpisodesConfig:
     store: str = ""
     """URL for bags and results, e.g. ``s3://bucket/demos``, see `roboxim_runs.storage.store`; empty: ``out``."""
 
+    usual: ClassVar[int] = 1
+    """Number of episodes of a task of one skill."""
+
     def __post_init__(self) -> None:
         """Check the values that need no other file.
 
@@ -85,7 +88,7 @@ class EpisodesConfig:
         checked_path(self.out)
         if isinstance(self.objects, str):
             object.__setattr__(self, "objects", (self.objects,))
-        for name, least in (("episodes", 1), ("workers", 1), ("seed", 0)):
+        for name, least in (("episodes", 0), ("workers", 1), ("seed", 0)):
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool):
                 raise ConfigError(f"{name} must be a whole number, got {value!r}")
@@ -101,7 +104,7 @@ class EpisodesConfig:
         if self.store:
             with Store.opened(self.store):
                 pass
-        if not self.indices:
+        if self.episodes and not self.indices:
             raise ConfigError(f"shard {self.shard} of {self.episodes} episodes has none; take fewer shards")
 
     @property
@@ -128,6 +131,22 @@ class EpisodesConfig:
         return task_text(
             self.task, skill=self.skill, objects=self.objects, distractors=self.distractors, colors=self.colors
         )
+
+    def sized(self, task_config: str, on_event: OnEvent) -> Self:
+        """Return the configuration with a number of episodes, and tell how the cells of a mix share them.
+
+        Args:
+            task_config: As `task_text` returns it.
+            on_event: Receives the counts.
+
+        Raises:
+            ConfigError: When the shard has no episode.
+        """
+        mix = mix_of(task_config)
+        episodes = self.episodes or (sum(mix.counts) if mix else self.usual)
+        if mix:
+            on_event(Notice(text=shares_text(mix, episodes)))
+        return replace(self, episodes=episodes)
 
     def run_config(self, task_config: str, **more: Any) -> RunConfig:
         """Return the episode loop's configuration.

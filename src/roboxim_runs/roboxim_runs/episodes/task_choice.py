@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Collection, Sequence
+from math import gcd
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from roboxim_core.config import config_dirs, named_config, parse_yaml
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.documents import read_text
+from roboxim_core.seeds import CELL
+
+if TYPE_CHECKING:
+    from roboxim_tasks.config import TaskMix
 
 DEFAULT_TASK = "pick_cube"
+CELLS_SHOWN = 8
+"""Number of cells of a mix whose episodes are told one by one."""
 
 
 def task_text(
@@ -23,7 +31,8 @@ def task_text(
 
     Args:
         task: Name in ``config/tasks`` or a file; empty: the skill's task, or the default task.
-        skill: A skill, whose own configuration is ``config/tasks/<skill>.yaml`` if there is one.
+        skill: A skill, whose own configuration is ``config/tasks/<skill>.yaml`` if there is one; several, separated by
+            commas, share the episodes equally.
         objects: ``[ROLE=]MODEL[,MODEL]``, the default role is ``target``.
         distractors: Number or range of distractors, e.g. ``1-3``; empty: as configured.
         colors: Comma-separated colours of the target; empty: as configured.
@@ -33,7 +42,7 @@ def task_text(
     """
     from roboxim_tasks.config import any_task_config
 
-    text, source = _base(task, skill)
+    text, source = _base(task, _words(skill))
     any_task_config(parse_yaml(text, source=source), source=source)
     if not (objects or distractors or colors):
         return text
@@ -41,7 +50,9 @@ def task_text(
     changed = data
     if "cells" in data:
         if objects:
-            raise ConfigError(f"'{task}' is a mix of tasks with objects of its own; --object needs a task of one skill")
+            raise ConfigError(
+                f"'{task or skill}' is a mix of tasks with objects of its own; --object needs a task of one skill"
+            )
         changed = data.setdefault("set", {})
     for item in objects:
         _set_models(changed, item)
@@ -59,16 +70,51 @@ def task_text(
     return text
 
 
-def _base(task: str, skill: str) -> tuple[str, str]:
+def mix_of(task_config: str) -> TaskMix | None:
+    """Return the mix that a task configuration's text describes; none: it has one skill."""
+    from roboxim_tasks.config import TaskMix, parse_task_config
+
+    config = parse_task_config(task_config)
+    return config if isinstance(config, TaskMix) else None
+
+
+def shares_text(mix: TaskMix, episodes: int) -> str:
+    """Return how many of a run's episodes each cell of a mix has, in a sentence.
+
+    Args:
+        mix: The mix.
+        episodes: Number of episodes of the run.
+    """
+    counts = Counter(mix.drawn(index)[CELL] for index in range(episodes))
+    cells = dict.fromkeys(mix.keys, 0) | dict(counts)
+    if len(set(cells.values())) == 1:
+        return f"{episodes} episodes: {counts[mix.keys[0]]} of each of {len(cells)} cells"
+    shares = [f"{count} of {name}" for name, count in list(cells.items())[:CELLS_SHOWN]]
+    more = [f"{len(cells) - CELLS_SHOWN} more cells"] if len(cells) > CELLS_SHOWN else []
+    unit = sum(mix.counts) // gcd(*mix.counts)
+    hint = "" if episodes % unit == 0 else f"; a multiple of {unit} gives every cell its share"
+    return f"{episodes} episodes: {', '.join([*shares, *more])}{hint}"
+
+
+def _words(text: str) -> list[str]:
+    return list(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+
+
+def _base(task: str, skills: Sequence[str]) -> tuple[str, str]:
     """Return a task configuration's text and its source."""
     from roboxim_tasks.skills import SKILLS
 
-    if task and skill:
-        raise ConfigError(f"give either --task {task} or --skill {skill}: a task has a skill of its own")
-    if not skill:
+    if task and skills:
+        raise ConfigError(f"give either --task {task} or --skill {','.join(skills)}: a task has a skill of its own")
+    if not skills:
         return _read(named_config("tasks", task or DEFAULT_TASK))
-    if skill not in SKILLS:
-        raise ConfigError(f"unknown skill '{skill}'; {one_of(SKILLS, skill)}")
+    for skill in skills:
+        if skill not in SKILLS:
+            raise ConfigError(f"unknown skill '{skill}'; {one_of(SKILLS, skill)}")
+    if len(skills) > 1:
+        mix = {"cells": [{"tasks": list(skills)}]}
+        return str(yaml.safe_dump(mix)), f"skills {', '.join(skills)}"
+    [skill] = skills
     files = (folder / "tasks" / f"{skill}.yaml" for folder in config_dirs())
     return next((_read(file) for file in files if file.is_file()), (f"skill: {skill}\n", f"skill '{skill}'"))
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from roboxim_core.config import to_json
 from roboxim_core.errors import EvaluationError
@@ -47,8 +47,7 @@ class EvaluationConfig(EpisodesConfig):
     """Policies under test; a text is ``[NAME=]SPEC``, e.g. ``random`` or ``mine=my_policy.py:MyPolicy``."""
     out: Path | str = "runs/evaluation"
     """Folder of the report, with a subfolder for each policy."""
-    episodes: int = 20
-    """Episodes per policy; every policy meets the same scenes."""
+    usual: ClassVar[int] = 20
     max_steps: int = 0
     """Actions per episode; 0: as the task says."""
     window: int = 0
@@ -122,6 +121,7 @@ def evaluate(
     named = config.policies
     chosen = find_policies([named] if isinstance(named, str | PolicySpec) else named)
     text, out = config.task_text(), Path(config.out)
+    config = config.sized(text, on_event)
     cells = cells_of(text)
     require_cameras(chosen, cells)
     if not config.other_robot:

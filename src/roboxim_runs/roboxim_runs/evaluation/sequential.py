@@ -66,6 +66,7 @@ def evaluate_sequentially(
         raise ConfigError(
             "a shard has a part of the scenes and cannot decide when to stop; run all of them (no --shard)"
         )
+    config = config.sized(config.task_text(), ignore)
     if not 1 < looks <= config.episodes:
         raise ConfigError(f"looks must be from 2 to the number of episodes ({config.episodes}), got {looks}")
     plan = SequentialPlan.even(config.episodes, looks)

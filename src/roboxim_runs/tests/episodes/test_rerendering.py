@@ -75,7 +75,7 @@ def test_cameras_lights_and_size_change_and_nothing_else(recorded: Path, tmp_pat
     bag = list_bags(recorded)[0]
     arguments = [
         str(bag), "--out", str(tmp_path / "out"), "--camera", "workspace=workspace_left", "--camera", "pose_1",
-        "--resolution", "40x30", "--light", "evening", "--light", "{kind: lamp, shadow: false}",
+        "--size", "40x30", "--light", "evening", "--light", "{kind: lamp, shadow: false}",
         "--texture", "table=marble", "--background", "plain", "--depth", "--no-segmentation",
     ]  # fmt: skip
     done = CliRunner().invoke(command, arguments, catch_exceptions=False)

@@ -84,7 +84,9 @@ def test_list_names_every_skill_and_its_suitable_objects():
 
 
 def test_a_sample_equals_the_generated_tasks():
-    lines = roboxim("sample", "--skill", "stack", "--seed", "7", "--count", "3", "--first", "2", "--json").splitlines()
+    lines = roboxim(
+        "sample", "--skill", "stack", "--seed", "7", "--episodes", "3", "--first", "2", "--json"
+    ).splitlines()
     generator = EpisodeGenerator(ModelLibrary())
     config = parse_task_config(task_text(skill="stack"))
     for index, line in zip((2, 3, 4), lines, strict=True):

@@ -109,7 +109,7 @@ def test_the_page_of_a_card_alone_warns_of_what_its_scenes_tell(tmp_path):
     folder = planted_folder(tmp_path / "run", PLANTED_RATES)
     folder_card(folder)
     html = tmp_path / "page.html"
-    words = ("experiment", "report", "--from", str(folder.path / "card.json"), "--html", str(html))
+    words = ("experiment", "report", "--from", str(folder.path / "card.json"), "--out", str(html))
     said = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
     for text in (said, html.read_text()):
         assert "No scene has distractors, so that the scene alone tells which object is meant." in text
@@ -340,7 +340,7 @@ def test_compare_says_what_the_cards_warn_of(tmp_path):
     (tmp_path / "one/proofs.json").write_text(json.dumps({"camera pose": [599, 600]}))
     words = ("experiment", "compare", str(tmp_path / "one"), str(tmp_path / "two"))
     (tmp_path / "one/report.html").write_text("")
-    words += ("--html", str(tmp_path / "models.html"))
+    words += ("--out", str(tmp_path / "models.html"))
     said = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
     assert "The card of one warns: Delivery is not proved for 1 of 600 episodes: camera pose." in said
     page = (tmp_path / "models.html").read_text()

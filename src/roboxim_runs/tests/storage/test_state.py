@@ -109,7 +109,7 @@ def test_a_command_writes_its_events_into_a_file_of_choice(tmp_path, monkeypatch
     source = tmp_path / "run"
     with RunFolder(source).opened({"purpose": "eval", "episodes": 1}) as folder:
         folder.append(EpisodeResult(episode_id="eval-0-00000-0", index=0, outcome="failure"))
-    words = ["--events", str(tmp_path / "events.jsonl"), "merge", str(tmp_path / "out"), str(source)]
+    words = ["--events", str(tmp_path / "events.jsonl"), "merge", str(source), "--out", str(tmp_path / "out")]
     with monkeypatch.context() as patch:
         patch.setenv("ROBOXIM_EVENTS", "")
         CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False)

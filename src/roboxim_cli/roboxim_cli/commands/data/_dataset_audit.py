@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from roboxim_cli.options import Place
+from roboxim_cli import strict
+from roboxim_cli.options import Place, option
 
 if TYPE_CHECKING:
     from roboxim_datasets.audit import AuditResult
@@ -30,16 +31,16 @@ def _list_checks(context: click.Context, _: click.Parameter, value: bool) -> Non
     context.exit()
 
 
-@click.command("audit")
+@strict.command("audit")
 @click.argument("path", type=Place())
 @click.option(
     "--bags", multiple=True, type=Place(), help="Bags of a dataset's episodes, for ground truth; may be repeated."
 )
 @click.option("--check", "checks", multiple=True, metavar="NAME", help="Make this check only; may be repeated.")
-@click.option("--out", type=PATH, help="Folder of the report.  [default: PATH-audit]")
+@option("out", help="Folder of the report; default: PATH-audit.")
 @click.option("--replay", is_flag=True, help="Also execute the bags' actions again.")
 @click.option("--no-render", is_flag=True, help="Leave out the checks that need a renderer.")
-@click.option("--episodes", default=0, metavar="N", help="Audit the first N episodes only.  [default: all]")
+@option("episodes", type=click.IntRange(0), default=0, show_default="all", help="Audit the first episodes only.")
 @click.option(
     "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_checks, help="List the checks and exit."
 )

@@ -6,6 +6,9 @@ from pathlib import Path
 
 import click
 
+from roboxim_cli import strict
+from roboxim_cli.options import option
+
 PATH = click.Path(path_type=Path)
 
 
@@ -21,20 +24,20 @@ def _list_faults(context: click.Context, _: click.Parameter, value: bool) -> Non
     context.exit()
 
 
-@click.command("corrupt")
+@strict.command("corrupt", old_output=-1, old={"--rate": "--share"})
 @click.argument("source", type=PATH)
-@click.argument("out", type=PATH)
+@option("out", required=True, help="Folder of the copy.")
 @click.option("--fault", required=True, metavar="NAME", help="Fault to plant; --list lists them.")
-@click.option("--rate", default=0.1, show_default=True, help="Share of the episodes, above 0 and at most 1.")
-@click.option("--seed", default=0, show_default=True, help="Seed of the choice of episodes and of the plants.")
+@click.option("--share", default=0.1, show_default=True, help="Share of the episodes, above 0 and at most 1.")
+@option("seed", help="Seed of the choice of episodes and of the plants.")
 @click.option(
     "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_faults, help="List the faults and exit."
 )
-def command(source: Path, out: Path, fault: str, rate: float, seed: int) -> None:
+def command(source: Path, out: Path, fault: str, share: float, seed: int) -> None:
     r"""Copy bags or a dataset and plant a fault in some of the episodes. The source stays as it is.
 
     \b
-    roboxim dataset corrupt runs/demos runs/demos-late --fault continues_after_done --rate 0.1
+    roboxim dataset corrupt runs/demos --out runs/demos-late --fault continues_after_done --share 0.1
 
     OUT-planted.json lists what was planted and the check that must find it.
     """
@@ -42,7 +45,7 @@ def command(source: Path, out: Path, fault: str, rate: float, seed: int) -> None
     from roboxim_runs.datasets.corruption import corrupt
 
     with EventPrinter() as printer:
-        made = corrupt(source, out, fault, rate, seed=seed, on_event=printer)
+        made = corrupt(source, out, fault, share, seed=seed, on_event=printer)
     for name, text in list(made.planted.items())[:5]:
         click.echo(f"{name}: {text}")
     if len(made.planted) > 5:

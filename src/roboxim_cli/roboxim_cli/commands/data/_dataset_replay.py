@@ -7,21 +7,21 @@ from pathlib import Path
 
 import click
 
+from roboxim_cli import strict
+from roboxim_cli.options import option
 from roboxim_core.whole_files import write_whole
 
 
-@click.command("replay")
+@strict.command("replay", old={"--json": "--out"})
 @click.argument("dataset", type=click.Path(exists=True, path_type=Path))
 @click.argument("bags", type=click.Path(exists=True, path_type=Path), nargs=-1)
 @click.option("--episodes", type=click.IntRange(0), default=0, help="Replay so many, spread evenly; default: all.")
 @click.option("--labels/--no-labels", default=True, show_default=True, help="Also execute the labels alone.")
 @click.option("--workers", type=click.IntRange(1), default=1, show_default=True, help="Processes.")
 @click.option("--format", "kind", default="", help="Format of the dataset; default: found from its files.")
-@click.option(
-    "--json", "json_file", type=click.Path(dir_okay=False, path_type=Path), help="Write every episode and tick there."
-)
+@option("out", help="JSON file to write every episode and tick to.")
 def command(
-    dataset: Path, bags: tuple[Path, ...], episodes: int, labels: bool, workers: int, kind: str, json_file: Path | None
+    dataset: Path, bags: tuple[Path, ...], episodes: int, labels: bool, workers: int, kind: str, out: Path | None
 ) -> None:
     """Execute the actions of a dataset in the simulator, and report what of its successes remains.
 
@@ -40,7 +40,7 @@ def command(
         )
     for line in report.lines:
         click.echo(line)
-    if json_file is not None:
-        write_whole(json_file, report.to_json())
+    if out is not None:
+        write_whole(out, report.to_json())
     if report.refusal:
         sys.exit(1)

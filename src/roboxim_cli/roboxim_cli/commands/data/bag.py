@@ -10,11 +10,13 @@ from typing import Any
 import click
 
 from roboxim_bringup.attach import attach_options
+from roboxim_cli import strict
+from roboxim_cli.options import option
 
 _bag = click.Path(exists=True, path_type=Path)
 
 
-@click.group()
+@strict.group()
 def command() -> None:
     """Describe, check, repair and play recorded episodes."""
 
@@ -71,14 +73,14 @@ def check(paths: tuple[Path, ...]) -> None:
         )
 
 
-@command.command("repair")
+@command.command("repair", old_output=-1)
 @click.argument("path", type=_bag)
-@click.argument("out", type=click.Path(file_okay=False, path_type=Path), required=False)
+@option("out", help="Folder of the new bag; default: the one that the bag lies in.")
 @click.option("--judge", is_flag=True, help="When the result is lost, execute the saved actions again and judge them.")
 def repair(path: Path, out: Path | None, judge: bool) -> None:
     """Save the whole ticks of a damaged bag, up to the first gap, as a new bag in OUT.
 
-    By default OUT is the folder that the bag lies in. The new bag is called EPISODE.repaired. The original is only
+    The new bag is called EPISODE.repaired. The original is only
     read. An episode whose result is lost is an error (outcome_unknown), so that no export takes it for a success.
 
     The exit code is 0 when nothing is lost, 1 when ticks or the result are lost, 2 when nothing can be saved.
@@ -102,7 +104,9 @@ def repair(path: Path, out: Path | None, judge: bool) -> None:
 
 @command.command("play")
 @click.argument("path", type=_bag)
-@click.option("-r", "--rate", default=1.0, show_default=True, help="Playback speed, relative to simulated time.")
+@option(
+    "-r", "rate", default=1.0, metavar="FACTOR", show_default=True, help="Playback speed, relative to simulated time."
+)
 @click.option("-t", "--topic", "topics", multiple=True, help="Play this topic; may be repeated; default: all.")
 @click.option("--namespace", default="", help="Prefix of every topic, e.g. /bag.")
 @click.option("--wait/--no-wait", default=False, help="Wait for a subscriber before playing.")
@@ -124,7 +128,7 @@ def play(
     from roboxim_cli.ros.node import membership
     from roboxim_recorder.bag import BagReader
 
-    if rate <= 0:
+    if not rate:
         raise click.UsageError("--rate must be greater than 0")
     reader = BagReader(path)
     with membership("play", run_id, domain, open_network=False, namespace=namespace) as member:

@@ -9,14 +9,15 @@ from typing import Any
 
 import click
 
-from roboxim_cli.options import keep_lines
+from roboxim_cli import strict
+from roboxim_cli.options import option
 from roboxim_core.whole_files import write_whole
 
 _PREFIX = "_dataset_"
 _path = click.Path(path_type=Path)
 
 
-class _Subcommands(click.Group):
+class _Subcommands(strict.Group):
     """A group with one subcommand for each ``_dataset_<name>.py`` beside this file, imported when it runs."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -30,11 +31,10 @@ class _Subcommands(click.Group):
         if registered is not None or cmd_name not in self.list_commands(ctx):
             return registered
         command: click.Command = importlib.import_module(f"{__package__}.{_PREFIX}{cmd_name}").command
-        keep_lines(command)
         return command
 
 
-class _Formats(click.Group):
+class _Formats(strict.Group):
     """A group with a subcommand for every registered format of datasets."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -54,23 +54,23 @@ class _Formats(click.Group):
         own = field_options(options)
         doc = (FORMATS[cmd_name].__doc__ or "").splitlines()[0]
 
-        def convert(source: Path, target: Path, overwrite: bool, fps: float, **given: Any) -> None:
-            _convert(cmd_name, options(**given), source, target, overwrite, fps)
+        def convert(source: Path, out: Path, overwrite: bool, fps: float, **given: Any) -> None:
+            _convert(cmd_name, options(**given), source, out, overwrite, fps)
 
         params: list[click.Parameter] = [
             click.Argument(["source"], type=_path),
-            click.Argument(["target"], type=_path),
+            click.Option(["--out"], type=_path, required=True, help="Folder of the dataset."),
             *own,
             click.Option(["--fps"], type=float, default=0.0, help="Steps per second of a source that does not say it."),
             click.Option(["--overwrite"], is_flag=True, help="Replace an existing dataset."),
         ]
-        return click.Command(
-            cmd_name, params=params, callback=convert, short_help=doc,
+        return strict.Command(
+            cmd_name, params=params, callback=convert, short_help=doc, old_output=-1,
             help=f"{doc}\n\nThe same command continues an interrupted conversion. The source is only read.",
         )  # fmt: skip
 
 
-@click.group(cls=_Subcommands)
+@strict.group(cls=_Subcommands)
 def command() -> None:
     """Describe, compare, convert, merge, split and check datasets of any format, RoboXim's or another tool's."""
 
@@ -123,7 +123,7 @@ def convert() -> None:
     r"""Write a dataset in another format.
 
     \b
-    roboxim dataset convert lerobot runs/demos-rlds runs/demos-lerobot --version 2.1
+    roboxim dataset convert lerobot runs/demos-rlds --out runs/demos-lerobot --version 2.1
     """
 
 
@@ -136,11 +136,11 @@ def _convert(name: str, options: Any, source: Path, target: Path, overwrite: boo
     _print_written(written)
 
 
-@command.command("merge")
+@command.command("merge", old_output=-1)
 @click.argument("sources", type=_path, nargs=-1, required=True)
-@click.argument("target", type=_path)
+@option("out", required=True, help="Folder of the dataset.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing dataset.")
-def merge(sources: tuple[Path, ...], target: Path, overwrite: bool) -> None:
+def merge(sources: tuple[Path, ...], out: Path, overwrite: bool) -> None:
     """Write datasets of one format as one. They must have the same features, meaning of actions and robot.
 
     The sources are only read. The same command continues an interrupted merge.
@@ -149,18 +149,18 @@ def merge(sources: tuple[Path, ...], target: Path, overwrite: bool) -> None:
     from roboxim_runs.datasets.rewriting import merge_datasets
 
     with EventPrinter() as printer:
-        _print_written(merge_datasets(sources, target, overwrite=overwrite, on_event=printer))
+        _print_written(merge_datasets(sources, out, overwrite=overwrite, on_event=printer))
 
 
-@command.command("split")
+@command.command("split", old_output=-1)
 @click.argument("source", type=_path)
-@click.argument("target", type=_path)
+@option("out", required=True, help="Folder of the dataset.")
 @click.option(
     "--into", required=True, metavar="train=90,val=10", help="Splits and their numbers of episodes; 0: the rest."
 )
-@click.option("--apart", is_flag=True, help="Write each split as a dataset of its own, TARGET/<split>.")
+@click.option("--apart", is_flag=True, help="Write each split as a dataset of its own, OUT/<split>.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing dataset.")
-def split(source: Path, target: Path, into: str, apart: bool, overwrite: bool) -> None:
+def split(source: Path, out: Path, into: str, apart: bool, overwrite: bool) -> None:
     """Divide the episodes of a dataset into other splits, each spread evenly over the whole.
 
     LeRobot's trainers ignore splits: --apart gives them datasets of their own. The source is only read. The same
@@ -172,7 +172,7 @@ def split(source: Path, target: Path, into: str, apart: bool, overwrite: bool) -
 
     with EventPrinter() as printer:
         found = split_dataset(
-            source, target, parse_counts("--into", into), apart=apart, overwrite=overwrite, on_event=printer
+            source, out, parse_counts("--into", into), apart=apart, overwrite=overwrite, on_event=printer
         )
     for written in {written.path: written for written in found.values()}.values():
         _print_written(written)

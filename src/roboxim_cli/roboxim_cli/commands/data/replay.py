@@ -10,9 +10,10 @@ from typing import Any
 import click
 
 from roboxim_bringup.attach import attach_options, join_run
+from roboxim_cli import strict
 
 
-@click.command()
+@strict.command()
 @click.argument("bags", type=click.Path(exists=True, path_type=Path), nargs=-1, required=True)
 @click.option("--namespace", default="", help="Namespace of the graph, e.g. /w0.")
 @attach_options

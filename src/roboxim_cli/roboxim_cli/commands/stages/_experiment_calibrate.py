@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from roboxim_cli import strict
 from roboxim_cli.named import Named
 
 if TYPE_CHECKING:
     from roboxim_eval.experiments import ExperimentConfig, Rates
 
 
-@click.command("calibrate")
+@strict.command("calibrate")
 @click.option("--experiment", type=Named("experiment"), default="skill_object", show_default=True, help="Whose tasks.")
 @click.option("--scale", default="laptop", show_default=True, help="Its scale, which states the image size.")
 @click.option("--episodes", type=click.IntRange(2), default=8, show_default=True, help="Demonstrations.")

@@ -6,14 +6,15 @@ from pathlib import Path
 
 import click
 
+from roboxim_cli import strict
 from roboxim_cli.named import Named
-from roboxim_cli.options import with_executor, with_training_resources
+from roboxim_cli.options import option, with_executor, with_training_resources
 from roboxim_core.whole_files import write_whole
 
 REPORT = "report"
 
 
-class _Benchmarks(click.Group):
+class _Benchmarks(strict.Group):
     """A subcommand for each file of ``config/benchmark``."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -33,13 +34,13 @@ class _Benchmarks(click.Group):
         return _run_command(cmd_name)
 
 
-@click.group(cls=_Benchmarks)
+@strict.group(cls=_Benchmarks)
 def command() -> None:
     """Run a benchmark of several experiments, and write its card and report."""
 
 
 def _run_command(name: str) -> click.Command:
-    @click.command(name)
+    @strict.command(name)
     @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
     @click.option("--scale", default="full", show_default=True, help="Scale: smoke, laptop, night or full.")
     @click.option(
@@ -107,15 +108,15 @@ def _run_command(name: str) -> click.Command:
     return run
 
 
-@command.command(REPORT)
+@command.command(REPORT, old={"--html": "--out"})
 @click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False)
 @click.option(
     "--from", "card", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",
     help="A card.json alone instead of a run's folder.",
 )  # fmt: skip
-@click.option("--html", type=click.Path(path_type=Path), help="File of the page that --from writes; default: none.")
+@option("out", help="File of the page that --from writes; default: none.")
 @click.option("--markdown", type=click.Path(path_type=Path), help="Also write sentences and tables to this file.")
-def report(folder: Path | None, card: Path | None, html: Path | None, markdown: Path | None) -> None:
+def report(folder: Path | None, card: Path | None, out: Path | None, markdown: Path | None) -> None:
     """Check the results of a benchmark's folder or card, print them, and write FOLDER/report.html."""
     from roboxim_core.errors import ConfigError
     from roboxim_runs.experiments.benchmark import (
@@ -127,14 +128,14 @@ def report(folder: Path | None, card: Path | None, html: Path | None, markdown: 
 
     if (folder is None) == (card is None):
         raise ConfigError("name the folder of a benchmark, or a card with --from CARD")
-    page = html
+    page = out
     if folder is not None:
         found, page = write_benchmark_report(folder), folder / "report.html"
     else:
         assert card is not None
         found = stored_benchmark_card(card)
-        if html is not None:
-            write_whole(html, benchmark_card_page(found))
+        if out is not None:
+            write_whole(out, benchmark_card_page(found))
     if markdown is not None:
         from roboxim_eval.report.markdown import benchmark_markdown
 

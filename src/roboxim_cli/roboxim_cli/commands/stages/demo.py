@@ -11,6 +11,9 @@ from pathlib import Path
 
 import click
 
+from roboxim_cli import strict
+from roboxim_cli.options import option
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
@@ -40,20 +43,16 @@ SCALES = {
 }  # fmt: skip
 
 
-@click.command()
-@click.option(
-    "--out", type=click.Path(path_type=Path), default="runs/demo", show_default=True, help="Folder of the demo."
-)
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of everything.")
-@click.option("--workers", type=click.IntRange(1), default=2, show_default=True, help="Processes.")
+@strict.command()
+@option("out", default="runs/demo", help="Folder of the demo.")
+@option("seed", help="Seed of everything.")
+@option("workers", default=2)
 @click.option(
     "--smoke", is_flag=True, help="Check in about a minute that everything works; the policy learns nothing useful."
 )
 @click.option("--large", is_flag=True, help="Use the larger documented setting, 20 to 30 minutes.")
-@click.option(
-    "--renderer", type=click.Choice(["raster", "tiny"]), help="Default: raster where GL works, else tiny with a notice."
-)
-def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, renderer: str | None) -> None:
+@option("renderer", default="", help="Default: raster where GL works, else tiny with a notice.")
+def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, renderer: str) -> None:
     r"""Run the main job: "Pick up the <colour> cube" from demonstrations to a report.
 
     \b
@@ -77,8 +76,8 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
     rollouts = str(scale.rollouts)
     started = time.monotonic()
     _step("generate", "--out", str(demos), "--episodes", str(scale.demonstrations), *scale.generation, *common)
-    _step("export", "rlds", str(demos), str(dataset))
-    _step("export", "lerobot", str(demos), str(lerobot))
+    _step("export", "rlds", str(demos), "--out", str(dataset))
+    _step("export", "lerobot", str(demos), "--out", str(lerobot), "--for", "act")
     _step("train", "bc", str(dataset), "--out", str(trained), "--steps", str(scale.steps))
     _step(
         "evaluate", "--policy", "bc", "--checkpoint", str(trained), "--policy", "random", "--out", str(evaluation),

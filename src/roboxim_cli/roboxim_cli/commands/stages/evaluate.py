@@ -8,11 +8,12 @@ from typing import Any
 
 import click
 
+from roboxim_cli import strict
 from roboxim_cli.named import Named
 from roboxim_cli.options import episode_options
 
 
-@click.command()
+@strict.command()
 @click.option(
     "--policy", "policies", type=Named("policy", "expert"), multiple=True, required=True, metavar="[NAME=]SPEC",
     help="bc, random, zero, replay, expert, module:Class or file.py:Class; may be repeated to compare. NAME is "

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from roboxim_cli import strict
 from roboxim_cli.commands.stages import _experiment_calibrate
 from roboxim_cli.named import Named
-from roboxim_cli.options import with_executor, with_training_resources
+from roboxim_cli.options import option, with_executor, with_training_resources
 from roboxim_core.whole_files import write_whole
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from roboxim_eval.experiments import ExperimentConfig, Rates
 
 
-@click.group()
+@strict.group()
 def command() -> None:
     """Plan, run, report and compare experiments: which way to train a policy is better, and how sure is that."""
 
@@ -50,7 +51,7 @@ def list_experiments() -> None:
         raise ConfigError("\n".join(known["broken"].values()))
 
 
-@command.command("plan")
+@command.command("plan", old={"--file": "--out"})
 @click.argument("name", type=Named("experiment"), default="")
 @click.option("--benchmark", default="", help="Plan all experiments of a benchmark of config/benchmark instead.")
 @click.option("--scale", default="full", show_default=True, help="Scale of the file: smoke, laptop, night or full.")
@@ -65,14 +66,11 @@ def list_experiments() -> None:
 )  # fmt: skip
 @click.option("--no-probe", is_flag=True, help="Do not measure this machine for a minute if no rates are stored.")
 @click.option("--write", type=click.Path(path_type=Path), help="Folder for the task mixes that it consists of.")
-@click.option(
-    "--file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
-    help="Write the experiment of this scale and budget to a file, for 'experiment run FILE'.",
-)  # fmt: skip
+@option("out", metavar="FILE", help="Write the experiment of this scale and budget, for 'experiment run FILE'.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def plan(
     name: str, benchmark: str, scale: str, trainer: str, budget: str, trainings: int, no_probe: bool,
-    write: Path | None, file: Path | None, as_json: bool,
+    write: Path | None, out: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     r"""Print what an experiment runs, how long it takes, and which difference it can find. Starts none of it.
 
@@ -81,7 +79,7 @@ def plan(
 
     \b
     roboxim experiment plan skill_object --scale laptop
-    roboxim experiment plan skill_object --scale laptop --budget 8h --file mine.yaml
+    roboxim experiment plan skill_object --scale laptop --budget 8h --out mine.yaml
     roboxim experiment plan skill_object --scale laptop --trainings 2
     roboxim experiment plan --benchmark transfer --scale night
     """
@@ -104,8 +102,8 @@ def plan(
 
     if bool(name) == bool(benchmark):
         raise ConfigError("name one experiment, or --benchmark NAME")
-    if benchmark and file is not None:
-        raise ConfigError("--file writes one experiment; plan each experiment of the benchmark by its name")
+    if benchmark and out is not None:
+        raise ConfigError("--out writes one experiment; plan each experiment of the benchmark by its name")
     configs = (
         benchmark_experiments(load_benchmark(benchmark), scale, trainer)
         if benchmark
@@ -141,9 +139,9 @@ def plan(
         if len(designs) > 1 and len(costs) == len(designs):
             disk = sum(cost.disk_bytes for cost in costs) / 1e9
             click.echo(f"in all: {hours(sum(cost.total_s for cost in costs))}, {disk:.1f} GB")
-    if file is not None:
-        write_experiment(configs[name], file)
-        click.echo(f"wrote {file}: roboxim experiment run {file} --out OUT", err=as_json)
+    if out is not None:
+        write_experiment(configs[name], out)
+        click.echo(f"wrote {out}: roboxim experiment run {out} --out OUT", err=as_json)
     if write is not None:
         for key, design in designs.items():
             for path in write_mixes(design, write / key if benchmark else write):
@@ -203,10 +201,10 @@ def run(
     \b
     On several machines, here two, each with a folder of its own:
     roboxim experiment run skill_object --only generate --shard 1/2 --out runs/so-1      # and 2/2 to runs/so-2
-    roboxim merge runs/so runs/so-1 runs/so-2
+    roboxim merge runs/so-1 runs/so-2 --out runs/so
     roboxim experiment run skill_object --only generate,export,train --out runs/so
     roboxim experiment run skill_object --only evaluate --shard 1/2 --trained runs/so --out runs/so-1
-    roboxim merge runs/so runs/so-1 runs/so-2
+    roboxim merge runs/so-1 runs/so-2 --out runs/so
     roboxim experiment run skill_object --out runs/so                                    # proofs and results
     """
     from contextlib import nullcontext
@@ -227,7 +225,7 @@ def run(
         result = run_experiment(config, on_event=printer, executor=runs_on, training_executor=trains_on)
     if shard:
         click.echo(f"shard {shard} has its episodes of: {', '.join(result.finished) or 'no stage'}")
-        click.echo(f"next, when all shards are there: roboxim merge {trained or 'WHOLE'} {out} ...")
+        click.echo(f"next, when all shards are there: roboxim merge {out} ... --out {trained or 'WHOLE'}")
         return
     click.echo(f"{len(result.finished)} of {len(result.finished) + len(result.missing)} stages are finished in {out}")
     if result.card is None:
@@ -242,25 +240,25 @@ def run(
     click.echo(f"report: {out / 'report.html'}")
 
 
-@command.command("report")
+@command.command("report", old={"--html": "--out"})
 @click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False)
 @click.option(
     "--from", "card", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",
     help="A card.json alone instead of a run's folder.",
 )  # fmt: skip
-@click.option("--html", type=click.Path(path_type=Path), help="File of the page that --from writes; default: none.")
+@option("out", help="File of the page that --from writes; default: none.")
 @click.option("--markdown", type=click.Path(path_type=Path), help="Also write sentences and tables to this file.")
 @click.option("--films", type=click.IntRange(0), default=8, show_default=True, help="Films of each condition.")
 @click.option("--evaluations", is_flag=True, help="Also write a page for each evaluation, beside its bags.")
 def report(
-    folder: Path | None, card: Path | None, html: Path | None, markdown: Path | None, films: int, evaluations: bool
+    folder: Path | None, card: Path | None, out: Path | None, markdown: Path | None, films: int, evaluations: bool
 ) -> None:
     r"""Check the results of a run's folder or of a card, print them, and write a page.
 
     \b
     roboxim experiment report runs/so                           # writes runs/so/report.html
     roboxim experiment report runs/so --evaluations             # and runs/so/evaluate/*/report.html
-    roboxim experiment report --from card.json --html page.html
+    roboxim experiment report --from card.json --out page.html
 
     Scores and sentences are computed again from the counts. A card that states others is refused, and so is one whose
     results have changed. The page is one file that opens offline.
@@ -289,9 +287,9 @@ def report(
     else:
         assert card is not None
         found = stored_card(card)
-        page = html
-        if html is not None:
-            write_whole(html, card_page(found))
+        page = out
+        if out is not None:
+            write_whole(out, card_page(found))
     if markdown is not None:
         from roboxim_eval.report.markdown import experiment_markdown
 
@@ -322,16 +320,16 @@ def _score_text(value: object) -> str:
     return "not measured"
 
 
-@command.command("compare")
+@command.command("compare", old={"--html": "--out"})
 @click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 @click.option("--condition", default="", help="Condition; default: the first one of the primary comparison.")
 @click.option("--where", type=click.Choice(["unseen", "seen", "all"]), default=None, help="Cells; default: as primary.")
-@click.option("--html", type=click.Path(path_type=Path), help="File of the page; default: none.")
-def compare(folders: tuple[Path, ...], condition: str, where: str | None, html: Path | None) -> None:
+@option("out", help="File of the page; default: none.")
+def compare(folders: tuple[Path, ...], condition: str, where: str | None, out: Path | None) -> None:
     r"""Compare models: the same condition of several runs of an experiment, on the cells that all of them met.
 
     \b
-    roboxim experiment compare runs/octo runs/bc runs/mine --html models.html
+    roboxim experiment compare runs/octo runs/bc runs/mine --out models.html
 
     Cards alone (card.json) can be compared, too. A model is named by its folder. Models without a common letter differ
     after Holm's adjustment for all pairs.
@@ -347,11 +345,11 @@ def compare(folders: tuple[Path, ...], condition: str, where: str | None, html: 
         click.echo(f"  {name:<{width}}  {model.letters:<4} {rate}, {model.successes} of {model.episodes}, {trained}")
     for sentence in models.sentences:
         click.echo(f"  {sentence}")
-    if html is not None:
+    if out is not None:
         from roboxim_eval.report.models import models_page
 
-        write_whole(html, models_page(models, cards, _pages_beside(html, folders)))
-        click.echo(f"report: {html}")
+        write_whole(out, models_page(models, cards, _pages_beside(out, folders)))
+        click.echo(f"report: {out}")
 
 
 def _pages_beside(html: Path, folders: Iterable[Path]) -> dict[str, str]:
@@ -364,15 +362,15 @@ def _pages_beside(html: Path, folders: Iterable[Path]) -> dict[str, str]:
     return {name: quote(os.path.relpath(page, start)) for name, page in pages.items() if page.exists()}
 
 
-@command.command("pack")
+@command.command("pack", old={"--file": "--out", "--most": "--largest"})
 @click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@click.option("--file", type=click.Path(path_type=Path), help="File to write; default: FOLDER.tar.gz.")
-@click.option("--most", default=200, show_default=True, type=click.IntRange(1), help="Largest size [MB].")
-def pack_run(folder: Path, file: Path | None, most: int) -> None:
+@option("out", help="File to write; default: FOLDER.tar.gz.")
+@click.option("--largest", default=200, show_default=True, type=click.IntRange(1), help="Largest size [MB].")
+def pack_run(folder: Path, out: Path | None, largest: int) -> None:
     """Pack results, checkpoints, cards and reports of a run into one file, without bags and datasets."""
     from roboxim_runs.experiments.pack import pack
 
-    found = pack(folder, file or folder.with_name(f"{folder.resolve().name}.tar.gz"), most_bytes=most * 1_000_000)
+    found = pack(folder, out or folder.with_name(f"{folder.resolve().name}.tar.gz"), most_bytes=largest * 1_000_000)
     click.echo(f"{found.files} files, {found.size / 1e6:.1f} MB: {found.path}")
 
 

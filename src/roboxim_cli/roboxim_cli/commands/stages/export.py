@@ -7,8 +7,12 @@ from typing import Any
 
 import click
 
+from roboxim_cli import strict
 
-class _Formats(click.Group):
+HINT = "LeRobot 3.0; openpi and GR00T read 2.1 with other columns: --for openpi, --for groot"
+
+
+class _Formats(strict.Group):
     """A group with a subcommand for every registered format."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -28,22 +32,38 @@ class _Formats(click.Group):
         own = field_options(exporter().config, leave_out=Selection.__dataclass_fields__)
         doc = (exporter.__doc__ or "").splitlines()[0]
 
-        def export(**options: Any) -> None:
-            _export(cmd_name, {option.name: options.pop(option.name) for option in own if option.name}, **options)
+        def export(trainer: str, **options: Any) -> None:
+            from roboxim_runs.datasets.export import trainer_options
 
-        return click.Command(
+            format_options = {option.name: options.pop(option.name) for option in own if option.name}
+            context = click.get_current_context()
+            given = {name: value for name, value in format_options.items() if is_given(context, name)}
+            if trainer:
+                format_options |= trainer_options(trainer, cmd_name, given)
+            _export(cmd_name, format_options, **options)
+            if cmd_name == "lerobot" and not trainer and not given.keys() & {"version", "columns"}:
+                click.echo(f"for lerobot 0.4 and newer (ACT, SmolVLA, ...): {HINT}")
+
+        return strict.Command(
             cmd_name,
             params=[*_common(), *own],
             callback=export,
             short_help=doc,
-            help=f"{doc}\n\n\b\nroboxim export {cmd_name} runs/demos runs/demos-{cmd_name}\n\n"
+            help=f"{doc}\n\n\b\nroboxim export {cmd_name} runs/demos --out runs/demos-{cmd_name}\n\n"
             "The same command continues an interrupted export.",
+            old_output=-1,
+            old={"--cameras": "--camera"},
         )
 
 
-@click.group(cls=_Formats)
+@strict.group(cls=_Formats)
 def command() -> None:
     """Export recorded episodes as a dataset."""
+
+
+def is_given(context: click.Context, name: str) -> bool:
+    """Tell whether an option was given on the command line."""
+    return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
 
 
 def _common() -> list[click.Parameter]:
@@ -53,7 +73,11 @@ def _common() -> list[click.Parameter]:
     path = click.Path(path_type=Path)
     return [
         click.Argument(["source"], type=Place(), nargs=-1, required=True, metavar="RUN..."),
-        click.Argument(["target"], type=path),
+        click.Option(["--out"], type=path, required=True, help="Folder of the dataset."),
+        click.Option(
+            ["--for", "trainer"], default="", metavar="TRAINER",
+            help="Trainer that reads it: act, diffusion, smolvla, pi0, openpi, groot, octo, bc, robomimic, ...",
+        ),
         click.Option(
             ["--where"], multiple=True, metavar="CONDITION",
             help="Export episodes that meet a condition: KEY=VALUE[,VALUE...], KEY!=VALUE, KEY<NUMBER. Keys: skill, "
@@ -86,7 +110,7 @@ def _common() -> list[click.Parameter]:
             "policy conventions'.",
         ),
         click.Option(
-            ["--cameras", "--camera", "cameras"], multiple=True, metavar="CAMERA[=KEY]",
+            ["--camera", "cameras"], multiple=True, metavar="CAMERA[=KEY]",
             help="Camera and its image key; may be repeated. Default: all, workspace=image and wrist=wrist_image.",
         ),
         click.Option(
@@ -130,7 +154,7 @@ def _common() -> list[click.Parameter]:
 
 
 def _export(
-    name: str, own: dict[str, Any], source: tuple[Path | str, ...], target: Path, cameras: tuple[str, ...], size: str,
+    name: str, own: dict[str, Any], source: tuple[Path | str, ...], out: Path, cameras: tuple[str, ...], size: str,
     split: str, everything: bool, keep_recovered: bool, overwrite: bool, gate: int, workers: int, store: str,
     **common: Any,
 ) -> None:  # fmt: skip
@@ -147,13 +171,13 @@ def _export(
     )  # fmt: skip
     with EventPrinter() as printer, local_sources(source) as runs:
         report = export_dataset(
-            name, runs, target, config, overwrite=overwrite, gate=gate, workers=workers, on_event=printer
+            name, runs, out, config, overwrite=overwrite, gate=gate, workers=workers, on_event=printer
         )
     _print_report(report)
     if store:
-        click.echo(f"{store}: {upload_dataset(target, store)} files uploaded and compared")
+        click.echo(f"{store}: {upload_dataset(out, store)} files uploaded and compared")
     if name == "rlds":
-        click.echo(f"next: roboxim train bc {target}")
+        click.echo(f"next: roboxim train bc {out}")
 
 
 def _camera_keys(words: tuple[str, ...]) -> dict[str, str]:

@@ -6,10 +6,11 @@ from typing import Any
 
 import click
 
+from roboxim_cli import strict
 from roboxim_cli.options import episode_options
 
 
-@click.command()
+@strict.command()
 @episode_options(episodes=50, out="runs/demos")
 @click.option("--max-attempts", default=5, show_default=True, help="Largest number of attempts per index.")
 @click.option(
@@ -53,4 +54,4 @@ def command(size: str, executor: str, address: str, resources: str, **options: A
     for line in failures(result.results):
         click.echo(f"  {line}")
     result.require_any()
-    click.echo(f"next: roboxim export rlds {config.store or result.out} {result.out}-rlds")
+    click.echo(f"next: roboxim export rlds {config.store or result.out} --out {result.out}-rlds")

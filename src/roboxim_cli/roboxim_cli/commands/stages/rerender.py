@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING
 
 import click
 
+from roboxim_cli import strict
+from roboxim_cli.options import option
+
 if TYPE_CHECKING:
     from roboxim_runs.episodes.rerendering import Lighting
 
 
-@click.command()
+@strict.command(old={"--size": "--size"})
 @click.argument("sources", type=click.Path(exists=True, path_type=Path), nargs=-1, required=True)
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the new run.")
-@click.option(
-    "--renderer", default="raster", show_default=True, help="raster, tiny, or photo (Blender; make photo installs it)."
-)
+@option("out", required=True, help="Folder of the new run.")
+@option("renderer", help="raster, tiny, or photo (Blender; make photo installs it).")
 @click.option(
     "--camera",
     "cameras",
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     help="Camera to render: a recorded one, a name in config/cameras or a YAML file; may be repeated. "
     "Default: the recorded ones.",
 )
-@click.option("--resolution", default="as-configured", help="SIZE or WIDTHxHEIGHT of every camera.")
+@option("size", help="Image size of every camera.")
 @click.option("--depth/--no-depth", default=None, help="Also record depth. Default: as each camera is configured.")
 @click.option("--segmentation/--no-segmentation", default=None, help="Also record segmentation.")
 @click.option(
@@ -48,11 +49,9 @@ if TYPE_CHECKING:
     "--background", type=click.Choice(["room", "plain"]), help="Surroundings: a room with walls, or a plain colour."
 )
 @click.option("--look", default="", metavar="SCENE", help="Use the lights and materials of a scene in config/scenes.")
-@click.option(
-    "--workers", type=click.IntRange(1), default=1, show_default=True, help="Number of processes, each with a renderer."
-)
+@option("workers", default=1, help="Number of processes, each with a renderer.")
 def command(
-    sources: tuple[Path, ...], out: Path, renderer: str, cameras: tuple[str, ...], resolution: str,
+    sources: tuple[Path, ...], out: Path, renderer: str, cameras: tuple[str, ...], size: str,
     depth: bool | None, segmentation: bool | None, lights: tuple[str, ...], textures: tuple[str, ...],
     background: str | None, look: str, workers: int,
 ) -> None:  # fmt: skip
@@ -61,7 +60,7 @@ def command(
     \b
     roboxim rerender runs/demos --out runs/demos-evening --light evening --texture table=marble
     roboxim rerender runs/demos --out runs/demos-left --camera workspace=workspace_left --camera wrist
-    roboxim rerender runs/demos/episodes/demo-0-00000-0 --out runs/photo --renderer photo --resolution 512
+    roboxim rerender runs/demos/episodes/demo-0-00000-0 --out runs/photo --renderer photo --size 512
 
     SOURCES are bags, folders of bags or runs. No running graph is needed. Unchanged settings give the recorded images,
     bit for bit on one type of machine. Ctrl-C stops; the same command continues with the missing bags.
@@ -78,7 +77,7 @@ def command(
     for word in textures:
         if "=" not in word:
             raise ConfigError(f"--texture is SURFACE=NAME, e.g. table=marble, got '{word}'")
-    width, height = parse_size(resolution)
+    width, height = parse_size(size)
     lighting = _lighting(lights)
     config = RerenderConfig(
         renderer=renderer, cameras={name: file for name, _, file in (word.partition("=") for word in cameras)},

@@ -6,13 +6,16 @@ from pathlib import Path
 
 import click
 
+from roboxim_cli import strict
+from roboxim_cli.options import option
 
-@click.group()
+
+@strict.group()
 def command() -> None:
     """Train a policy on an exported dataset."""
 
 
-@command.command("bc")
+@command.command("bc", old={"--limit": "--episodes"})
 @click.argument("dataset", type=click.Path(path_type=Path))
 @click.option(
     "--out", type=click.Path(path_type=Path), default="runs/bc", show_default=True, help="Folder of the checkpoint."
@@ -24,10 +27,10 @@ def command() -> None:
     "--set", "changes", multiple=True, metavar="FIELD=VALUE", help="A field of BCConfig, e.g. depth=2; may be repeated."
 )
 @click.option("--until", type=click.IntRange(1), default=None, help="End after this step for now; it can be continued.")
-@click.option("--limit", type=click.IntRange(0), default=0, help="Largest number of episodes to use; 0: all.")
+@option("episodes", type=click.IntRange(0), default=0, show_default="all", help="Largest number of episodes to use.")
 def behaviour_cloning(
     dataset: Path, out: Path, steps: int | None, seed: int | None, config: Path | None, changes: tuple[str, ...],
-    until: int | None, limit: int,
+    until: int | None, episodes: int,
 ) -> None:  # fmt: skip
     r"""Train a small behaviour-cloning network on a dataset of any format.
 
@@ -46,7 +49,7 @@ def behaviour_cloning(
     settings = read_bc_config(config, {**parse_options(changes), **{k: v for k, v in given.items() if v is not None}})
     keep_freed_memory()
     with EventPrinter() as printer:
-        result = train_bc(dataset, out, settings, limit=limit, until=until or 0, on_event=printer)
+        result = train_bc(dataset, out, settings, limit=episodes, until=until or 0, on_event=printer)
     if result.steps_now:
         click.echo(f"checkpoint after {result.steps} steps, {result.wall_s:.0f} s: {result.checkpoint}")
     else:

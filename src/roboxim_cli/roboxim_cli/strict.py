@@ -1,0 +1,106 @@
+"""Commands and groups of ``roboxim``: an option that does not repeat is given once, and old names still work.
+
+Every command is made by `command` or `group` of this module, or is a command of such a group.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import click
+
+
+class Strict(click.Command):
+    r"""A command that refuses an option given twice. A line ``\b`` of its help keeps the lines below it."""
+
+    def __init__(self, name: str | None = None, *, help: str | None = None, **attributes: Any) -> None:
+        """Make the command; arguments as of click."""
+        super().__init__(name, help=help.replace("\\b\n", "\b\n") if help else help, **attributes)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Refuse repeated options, then parse.
+
+        Raises:
+            UsageError: Naming an option that was given twice.
+        """
+        _, _, given = self.make_parser(ctx).parse_args(args=list(args))
+        seen: set[str | None] = set()
+        for option in given:
+            if not isinstance(option, click.Option) or option.multiple or option.count:
+                continue
+            if option.name in seen:
+                names = " or ".join(other.opts[-1] for other in self.params if other.name == option.name)
+                raise click.UsageError(f"{names} was given twice; it takes one value", ctx)
+            seen.add(option.name)
+        return super().parse_args(ctx, args)
+
+
+class Command(Strict):
+    """A command whose options or outputs had other names in the last version."""
+
+    def __init__(
+        self,
+        name: str | None = None,
+        *,
+        old: Mapping[str, str] | None = None,
+        old_output: int | None = None,
+        **attributes: Any,
+    ) -> None:
+        """Make the command.
+
+        Args:
+            name: Its name.
+            old: Old name of an option to its name.
+            old_output: Place of an output that was an argument, 0 or -1 among the inputs; now it is ``--out``.
+            **attributes: As of click.
+        """
+        super().__init__(name, **attributes)
+        self.old = old or {}
+        self.old_output = old_output
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Translate old names with a warning, then parse.
+
+        Raises:
+            UsageError: As of `Strict.parse_args`.
+        """
+        for place, word in enumerate(args):
+            name, equals, value = word.partition("=")
+            if name in self.old:
+                args[place] = self.old[name] + equals + value
+                click.echo(f"warning: {name} is now {self.old[name]}; the next version refuses it", err=True)
+        if self.old_output is not None:
+            args = self._with_output(ctx, args)
+        return super().parse_args(ctx, args)
+
+    def _with_output(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Return the arguments with an output that was given among the inputs as ``--out``."""
+        assert self.old_output is not None
+        values, rest, _ = self.make_parser(ctx).parse_args(args=list(args))
+        [inputs] = [param for param in self.params if isinstance(param, click.Argument)]
+        given = values[inputs.name]
+        words = [*(given if isinstance(given, tuple) else [given]), *rest]
+        if values.get("out") or len(words) < 2:
+            return args
+        output = str(words[self.old_output])
+        place = args.index(output) if self.old_output == 0 else len(args) - 1 - args[::-1].index(output)
+        click.echo(f"warning: the output is now an option: --out {output}; the next version refuses it", err=True)
+        return [*args[:place], *args[place + 1 :], "--out", output]
+
+
+class Group(Strict, click.Group):
+    """A group of strict commands."""
+
+    command_class = Command
+    group_class = type
+
+
+def command(name: str | None = None, *, cls: type[Command] = Command, **attributes: Any) -> Callable[[Any], Command]:
+    """Return a decorator that makes a function a command; arguments as of `Command`."""
+    return click.command(name, cls=cls, **attributes)
+
+
+def group(name: str | None = None, *, cls: type[Group] = Group, **attributes: Any) -> Callable[[Any], Group]:
+    """Return a decorator that makes a function a group of commands; arguments as of click."""
+    return click.group(name, cls=cls, **attributes)
