@@ -28,7 +28,8 @@ ALLOWED = {
     "roboxim_planner": {"roboxim_core", "roboxim_ros", "roboxim_interfaces", "roboxim_planner_native"},
     "roboxim_bringup": EVERY_ROOM,
     "roboxim_runs": EVERY_ROOM | {"roboxim_bringup"},
-    "roboxim_cli": EVERY_ROOM | {"roboxim_bringup", "roboxim_runs"},
+    "roboxim_studio": EVERY_ROOM | {"roboxim_bringup", "roboxim_runs"},
+    "roboxim_cli": EVERY_ROOM | {"roboxim_bringup", "roboxim_runs", "roboxim_studio"},
     "roboxim": {"roboxim_core", "roboxim_bringup", "roboxim_runs", "roboxim_cli"},
 }
 ROS_FREE_KIT = {f"roboxim_ros.messages.{name}" for name in ("conversions", "packing", "schemas", "serialising")}
@@ -170,6 +171,21 @@ def test_error_codes_are_mirrored():
 
     for code in ErrorCode:
         assert getattr(Message, code.name) == code
+
+
+def test_only_the_command_imports_the_studio_and_only_when_it_runs():
+    """Its libraries cost time to import, and no run may depend on a page."""
+    importers = {
+        path.relative_to(SRC): ast.parse(path.read_text())
+        for package in ALLOWED
+        if package != "roboxim_studio"
+        for path in modules(package)
+        if any(name.split(".")[0] in ("roboxim_studio", "viser") for name in imports_of(path))
+    }
+    assert [path.name for path in importers] == ["studio.py"]
+    (tree,) = importers.values()
+    top = [ast.unparse(node) for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    assert not [line for line in top if "roboxim_studio" in line or "viser" in line]
 
 
 def test_every_package_is_type_checked_and_built():

@@ -28,6 +28,7 @@ SECTIONS = {
     "Recordings": ("bag", "replay", "rerender"),
     "Datasets": ("dataset",),
     "Objects": ("assets",),
+    "In a browser": ("studio",),
     "Inspecting a running graph (spelled as in ros2)": (
         "node", "service", "topic", "action", "param", "interface",
     ),

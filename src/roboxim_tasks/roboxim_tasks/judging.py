@@ -46,6 +46,20 @@ class Judge:
         self._state: StateRecord | None = None
         self._solved_since_ns: int | None = None
 
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """Everything that must hold in the started episode, with its measure and bounds: the skill's, then the rest.
+
+        A skill whose evaluator is no `Conditions` contributes none.
+        """
+        parts = (self._evaluator, *reversed(self._others))
+        return tuple(condition for part in parts if isinstance(part, Conditions) for condition in part.conditions)
+
+    @property
+    def hold_s(self) -> float:
+        """Time for which all must hold without a break [s]."""
+        return self._evaluator.hold_s
+
     def start(self, state: StateRecord) -> Verdict:
         """Judge tick 0.
 

@@ -109,6 +109,11 @@ class Conditions:
         self.hold_s = hold_s
         self._conditions = tuple(conditions)
 
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The conditions, in the order of their precedence."""
+        return self._conditions
+
     def assess(self, state: StateRecord) -> Assessment:
         """Assess the next tick."""
         values: dict[int, float] = {}

@@ -1,0 +1,45 @@
+"""Look at, edit and drive episodes and scenes in a browser."""
+
+from __future__ import annotations
+
+import click
+
+
+@click.command()
+@click.argument("what", default="", metavar="[RUN | BAG | DATASET | REPORT | TASK]")
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port to listen at; 0: any free one.")
+@click.option(
+    "--open-network", is_flag=True,
+    help="Let other machines connect, unencrypted; without it only this machine can. The address holds the secret.",
+)  # fmt: skip
+@click.option("--browser/--no-browser", default=True, help="Open the page in this machine's browser.")
+def command(what: str, port: int, open_network: bool, browser: bool) -> None:
+    r"""Open the studio: one page, served by this machine, without the internet.
+
+    \b
+    roboxim studio runs/demos                        # the episodes of a run
+    roboxim studio runs/demos/episodes/demo-0-00000-0
+    roboxim studio pick_up                           # a task
+
+    The printed address holds a secret: whoever has it can use the page. From another machine use an SSH tunnel:
+    ssh -L 8080:127.0.0.1:8080 MACHINE roboxim studio --port 8080. Ctrl-C ends the studio.
+    """
+    import signal
+    import threading
+    import webbrowser
+
+    from roboxim_studio.app import Studio
+    from roboxim_studio.opening import recognise
+
+    opened = recognise(what)
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with Studio(port=port, open_network=open_network) as studio:
+        click.echo(f"studio at {studio.url}")
+        if open_network:
+            click.echo("other machines can connect; traffic is not encrypted", err=True)
+        if browser:
+            threading.Thread(target=webbrowser.open, args=(studio.url,), daemon=True).start()
+        studio.open(opened)
+        stop.wait()

@@ -1,0 +1,217 @@
+"""A headless Chromium, driven by its own protocol: for tests, screenshots of the documentation, and benchmarks."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from roboxim_core.errors import ErrorCode, RoboximError
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+OPTIONS = (
+    "--headless", "--no-sandbox", "--no-first-run", "--disable-dev-shm-usage", "--disable-extensions", "--mute-audio",
+    "--disable-background-networking", "--disable-component-update", "--remote-debugging-port=0",
+    "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+)  # fmt: skip
+WAIT_S = 180.0
+"""Longest wait for a condition; software WebGL on a busy machine is slow."""
+
+
+def find_browser() -> str:
+    """Return the path of an installed Chromium; empty when there is none. ``ROBOXIM_CHROMIUM`` names another."""
+    named = os.environ.get("ROBOXIM_CHROMIUM", "")
+    return named or next(filter(None, map(shutil.which, NAMES)), "")
+
+
+class Browser:
+    """A browser with one page. A context manager."""
+
+    def __init__(self, *, width: int = 1280, height: int = 800, scale: float = 1.0) -> None:
+        """Start a browser with an empty page.
+
+        Args:
+            width: Width of the page [px].
+            height: Height of the page [px].
+            scale: Device pixels per pixel.
+
+        Raises:
+            RoboximError: When no browser is installed, or it does not start.
+        """
+        path = find_browser()
+        if not path:
+            raise RoboximError(
+                "no Chromium is installed; install one (apt-get install chromium), or name it in ROBOXIM_CHROMIUM",
+                ErrorCode.UNAVAILABLE,
+            )
+        self._folder = tempfile.TemporaryDirectory(prefix="roboxim-browser-", ignore_cleanup_errors=True)
+        options = (*OPTIONS, f"--user-data-dir={self._folder.name}", f"--window-size={width},{height}", "about:blank")
+        self._process = subprocess.Popen([path, *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self._ids = itertools.count(1)
+        self.requests: list[str] = []
+        """Addresses that the page has asked for."""
+        self.errors: list[str] = []
+        """Uncaught errors of the page's scripts."""
+        try:
+            self._socket = self._connect()
+            self._session = ""
+            target = self._call("Target.createTarget", url="about:blank")["targetId"]
+            self._session = self._call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+            for domain in ("Page", "Runtime", "Network"):
+                self._call(f"{domain}.enable")
+            self.resize(width, height, scale)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Browser:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()
+
+    def close(self) -> None:
+        """End the browser."""
+        if hasattr(self, "_socket"):
+            self._socket.close()
+        self._process.terminate()
+        try:
+            self._process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._folder.cleanup()
+
+    def open(self, url: str) -> None:
+        """Open an address."""
+        self._call("Page.navigate", url=url)
+
+    def resize(self, width: int, height: int, scale: float = 1.0, *, phone: bool = False) -> None:
+        """Set the size of the page [px]; a phone's page reports touch instead of a mouse."""
+        self._call(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=phone
+        )
+
+    def run(self, script: str) -> Any:
+        """Return the value of a JavaScript expression; promises are awaited.
+
+        Raises:
+            RoboximError: When it raises.
+        """
+        answer = self._call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        if "exceptionDetails" in answer:
+            raise RoboximError(f"the page's script failed: {answer['exceptionDetails']}")
+        return answer["result"].get("value")
+
+    def wait(self, script: str, seconds: float = WAIT_S) -> Any:
+        """Return the value of an expression as soon as it is true.
+
+        Raises:
+            RoboximError: When it is not in time; with the page's text.
+        """
+        return wait_for(
+            lambda: self.run(f"(() => {{ try {{ return {script} }} catch (e) {{ return null }} }})()"),
+            f"'{script}' in the page", seconds, self._describe,
+        )  # fmt: skip
+
+    def text(self, selector: str) -> str:
+        """Return the text of the first element of a selector; empty when there is none."""
+        return str(self.run(f"(document.querySelector({json.dumps(selector)}) || {{innerText: ''}}).innerText"))
+
+    def click(self, label: str) -> None:
+        """Click the button of a label, by the page's own event: it need not be in sight."""
+        self.wait(f"!!({_button(label)})")
+        self.run(f"({_button(label)}).click()")
+
+    def key(self, code: str, *, down: bool) -> None:
+        """Press or release a key, e.g. ``KeyW``."""
+        key = code.removeprefix("Key").lower() if code.startswith("Key") else {"Space": " "}.get(code, code)
+        self._call("Input.dispatchKeyEvent", type="keyDown" if down else "keyUp", code=code, key=key)
+
+    def mouse(self, kind: str, x: float, y: float) -> None:
+        """Send ``mousePressed``, ``mouseMoved`` or ``mouseReleased`` at a place of the page [px]."""
+        pressed = kind != "mouseReleased"
+        self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=int(pressed), clickCount=1)
+
+    def screenshot(self, path: Path) -> None:
+        """Write the page as PNG."""
+        data = self._call("Page.captureScreenshot", format="png")["data"]
+        path.write_bytes(base64.b64decode(data))
+
+    def _describe(self) -> str:
+        shown = str(self.run("document.body ? document.body.innerText.slice(0, 600) : ''"))
+        return f"the page shows {shown!r}; errors of its scripts: {self.errors[-3:]}"
+
+    def _connect(self) -> Any:
+        file = Path(self._folder.name) / "DevToolsActivePort"
+
+        def address() -> str:
+            if self._process.poll() is not None:
+                raise RoboximError(f"the browser ended with {self._process.returncode}", ErrorCode.UNAVAILABLE)
+            lines = file.read_text().split("\n") if file.exists() else []
+            return f"ws://127.0.0.1:{lines[0]}{lines[1]}" if len(lines) > 1 else ""
+
+        return connect(wait_for(address, "the browser"), max_size=None)
+
+    def _call(self, method: str, **parameters: Any) -> Any:
+        number = next(self._ids)
+        message: dict[str, Any] = {"id": number, "method": method, "params": parameters}
+        if getattr(self, "_session", ""):
+            message["sessionId"] = self._session
+        try:
+            self._socket.send(json.dumps(message))
+            while True:
+                answer = json.loads(self._socket.recv(timeout=WAIT_S))
+                if answer.get("id") == number:
+                    break
+                self._note(answer)
+        except (ConnectionClosed, TimeoutError) as error:
+            raise RoboximError(f"the browser does not answer {method}: {error}", ErrorCode.UNAVAILABLE) from error
+        if "error" in answer:
+            raise RoboximError(f"the browser refuses {method}: {answer['error']}")
+        return answer["result"]
+
+    def _note(self, event: Any) -> None:
+        if event.get("method") == "Network.requestWillBeSent":
+            self.requests.append(event["params"]["request"]["url"])
+        elif event.get("method") == "Network.webSocketCreated":
+            self.requests.append(event["params"]["url"])
+        elif event.get("method") == "Runtime.exceptionThrown":
+            details = event["params"]["exceptionDetails"]
+            self.errors.append(str(details.get("exception", {}).get("description", details.get("text"))))
+
+
+def wait_for(
+    asked: Callable[[], Any], what: str, seconds: float = WAIT_S, describe: Callable[[], str] = lambda: ""
+) -> Any:
+    """Return the first true answer.
+
+    Raises:
+        RoboximError: When there is none in time.
+    """
+    end = time.monotonic() + seconds
+    while not (found := asked()):
+        if time.monotonic() > end:
+            raise RoboximError(f"waited {seconds:g} s for {what}; {describe()}", ErrorCode.TIMEOUT)
+        time.sleep(0.05)
+    return found
+
+
+def _button(label: str) -> str:
+    return (
+        "[...document.querySelectorAll('button, [role=tab]')].find((one) => one.innerText.trim() === "
+        f"{json.dumps(label)})"
+    )

@@ -1,0 +1,242 @@
+"""The studio's HTTP and WebSocket server: viser's, behind the rule of `access`, with a script and a channel of our own.
+
+viser has no access control, and its key events only trigger. So its server's sockets are opened here: a request
+without the token is refused before viser sees it, and the path ``control`` of the same port carries held keys, gamepads
+and commands (`control`). viser may also open a public tunnel when a client asks for it; that is switched off.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import http
+import io
+import json
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout, suppress
+from functools import lru_cache
+from importlib.resources import files
+from types import SimpleNamespace
+from typing import Any
+
+import viser
+import viser._messages as viser_messages
+import viser.infra._infra as viser_infra
+import websockets.asyncio.server
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from roboxim_core.errors import ConfigError, ErrorCode, RoboximError
+from roboxim_studio.serving.access import Access
+
+CONTROL = "control"
+"""Path of the control channel behind the token."""
+SCRIPT = "studio.js"
+POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; style-src 'unsafe-inline'; "
+    "img-src 'self' data: blob:; font-src data:; worker-src blob: data:; frame-ancestors 'none'; base-uri 'none'; "
+    "form-action 'none'; connect-src 'self' data: blob: ws://{host} wss://{host}"
+)
+"""Content security policy of the page: nothing but this server is asked for anything."""
+MOST_BYTES = 16_384
+"""Largest message of the control channel."""
+
+Received = Callable[[int, Mapping[str, Any]], None]
+"""Called with a page's number and a message of the control channel; with an empty message when the page has gone."""
+
+_opening = threading.Lock()
+
+
+class Site:
+    """A running server. `viser` is what panels and scenes are built with; `tell` sends to the pages' own script."""
+
+    def __init__(self, access: Access, port: int = 0, *, received: Received = lambda page, message: None) -> None:
+        """Start the server.
+
+        Args:
+            access: Who may reach it.
+            port: Port to listen at; 0: any.
+            received: See `Received`; called in the server's thread, so it must return at once.
+
+        Raises:
+            RoboximError: When the port is taken, or the server does not refuse a request without the token.
+        """
+        self._access, self._received = access, received
+        self._pages: dict[int, websockets.asyncio.server.ServerConnection] = {}
+        self._told: dict[str, Any] = {}
+        self._number = 0
+        self._failed: OSError | None = None
+        with self._own_sockets(), redirect_stdout(io.StringIO()):  # viser prints an address that lacks the token
+            self.viser = viser.ViserServer(host=access.host, port=port, verbose=False, label="RoboXim studio")
+        self.port = int(self.viser.get_port())
+        handlers = self.viser._websock_server._incoming_handlers
+        for message in (viser_messages.ShareUrlRequest, viser_messages.ShareUrlDisconnect):
+            handlers.pop(message, None)
+        self.viser.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        if port and self.port != port:
+            self.close()
+            raise ConfigError(f"port {port} is taken; choose another with --port, or 0 for any free one")
+        self._require_guarded()
+
+    @property
+    def url(self) -> str:
+        """Address of the page, with the token."""
+        return self._access.url(self.port)
+
+    @property
+    def pages(self) -> int:
+        """Number of open pages."""
+        return len(self._pages)
+
+    def tell(self, **news: Any) -> None:
+        """Send values to every page's script; a page that opens later receives the newest of each name."""
+        self._told |= news
+        text = json.dumps(news)
+        for connection in tuple(self._pages.values()):
+            self._soon(connection.send(text))
+
+    def cut(self) -> None:
+        """Close every connection; pages connect again by themselves. For tests of an interrupted network."""
+        self.viser._websock_server.disconnect_all_clients()
+        for connection in tuple(self._pages.values()):
+            self._soon(connection.close())
+
+    def close(self) -> None:
+        """Stop the server."""
+        with redirect_stdout(io.StringIO()):
+            self.viser.stop()
+
+    def _soon(self, coroutine: Any) -> None:
+        loop = self.viser._websock_server._background_event_loop
+        if loop is None or loop.is_closed():
+            coroutine.close()
+            return
+
+        async def quietly() -> None:
+            with suppress(ConnectionClosed):
+                await coroutine
+
+        asyncio.run_coroutine_threadsafe(quietly(), loop)
+
+    @contextmanager
+    def _own_sockets(self) -> Iterator[None]:
+        """Let viser's server open its sockets by `_serve` while it starts."""
+        with _opening:
+            infra: Any = viser_infra
+            genuine = infra.websockets
+            infra.websockets = SimpleNamespace(
+                asyncio=SimpleNamespace(
+                    server=SimpleNamespace(
+                        serve=self._serve, ServerConnection=websockets.asyncio.server.ServerConnection
+                    )
+                ),
+                exceptions=genuine.exceptions,
+                datastructures=genuine.datastructures,
+            )
+            try:
+                yield
+            finally:
+                infra.websockets = genuine
+
+    def _serve(self, handler: Any, *where: Any, process_request: Any, **options: Any) -> Any:
+        """Open the sockets as viser asks, with the guard in front of its handlers."""
+
+        def checked(connection: Any, request: Request) -> Response | None:
+            rest = self._access.path(request.path, request.headers)
+            if rest is None:
+                return _answer(http.HTTPStatus.FORBIDDEN, b"open the address that 'roboxim studio' printed\n")
+            if request.headers.get("Upgrade", "").lower() == "websocket":
+                return None
+            if rest == SCRIPT:
+                return _answer(http.HTTPStatus.OK, _script(), "application/javascript; charset=utf-8")
+            if rest not in ("", "index.html"):
+                return _answer(http.HTTPStatus.NOT_FOUND, b"not found\n")
+            # unzipped: the page needs our script's tag
+            plain = Request("/", Headers({"Host": request.headers.get("Host", "")}))
+            page: Response = process_request(connection, plain)
+            host = request.headers.get("Host", "")
+            return _answer(page.status_code, _with_script(bytes(page.body or b"")), "text/html; charset=utf-8", host)
+
+        async def handle(connection: Any) -> None:
+            rest = self._access.path(connection.request.path, connection.request.headers)
+            if rest == CONTROL:
+                await self._control(connection)
+            else:
+                await handler(connection)
+
+        return websockets.asyncio.server.serve(handle, *where, process_request=checked, **options)
+
+    async def _control(self, connection: Any) -> None:
+        self._number += 1
+        page = self._number
+        self._pages[page] = connection
+        try:
+            await connection.send(json.dumps(self._told))
+            async for text in connection:
+                if isinstance(text, str) and len(text) <= MOST_BYTES and (message := _object(text)):
+                    self._received(page, message)
+        except ConnectionClosed:
+            pass
+        finally:
+            self._pages.pop(page, None)
+            self._received(page, {})
+
+    def _require_guarded(self) -> None:
+        """Ask for the page without the token; refuse to run if it comes."""
+        from http.client import HTTPConnection
+
+        connection = HTTPConnection("127.0.0.1", self.port, timeout=10)
+        try:
+            connection.request("GET", "/")
+            status = connection.getresponse().status
+        finally:
+            connection.close()
+        if status != http.HTTPStatus.FORBIDDEN:
+            self.close()
+            raise RoboximError(
+                f"the studio's server answered {status} to a request without the token, expected 403: the installed "
+                f"viser {viser.__version__} opens its sockets in another way; install the locked version",
+                ErrorCode.INTERNAL,
+            )
+
+
+def _object(text: str) -> dict[str, Any]:
+    """Return a message of the control channel; empty when it is none."""
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _answer(
+    status: int | http.HTTPStatus, body: bytes, kind: str = "text/plain; charset=utf-8", host: str = ""
+) -> Response:
+    headers = Headers(
+        {
+            "Content-Type": kind,
+            "Content-Length": str(len(body)),
+            "Cache-Control": "no-store",
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+            "X-Frame-Options": "DENY",
+            "Cross-Origin-Resource-Policy": "same-origin",
+        }
+    )
+    if host:
+        headers["Content-Security-Policy"] = POLICY.format(host=host)
+    return Response(int(status), http.HTTPStatus(status).phrase, headers, body)
+
+
+@lru_cache(maxsize=1)
+def _script() -> bytes:
+    return (files("roboxim_studio.serving") / SCRIPT).read_bytes()
+
+
+@lru_cache(maxsize=2)
+def _with_script(page: bytes) -> bytes:
+    """Return viser's page with the studio's script and title."""
+    return page.replace(b"</head>", b'<script src="studio.js" defer></script></head>', 1).replace(
+        b"<title>Viser</title>", b"<title>RoboXim studio</title>", 1
+    )

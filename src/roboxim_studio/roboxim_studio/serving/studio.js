@@ -1,0 +1,99 @@
+// The studio's own part of the page: held keys, gamepads, single-key commands, and the line at the bottom.
+// viser's page has no key-up events and no gamepads, so they go through a channel of their own.
+"use strict";
+(() => {
+  const base = window.location.href.split("?")[0].replace(/\/?(index\.html)?$/, "");
+  const held = new Set();
+  const state = { driving: false, hint: "", alert: "" };
+  let socket = null;
+  let wait = 250;
+  let lastSent = "";
+  let opened = 0;
+
+  const line = document.createElement("div");
+  line.id = "studio-line";
+  line.setAttribute("role", "status");
+  Object.assign(line.style, {
+    position: "fixed", left: "8px", bottom: "8px", maxWidth: "min(70ch, calc(100vw - 16px))", zIndex: 400,
+    padding: "6px 10px", borderRadius: "6px", font: "13px/1.4 system-ui, sans-serif", whiteSpace: "pre-line",
+    background: "rgba(20, 22, 26, 0.86)", color: "#fff", pointerEvents: "none", display: "none",
+    boxSizing: "border-box", overflowWrap: "anywhere",
+  });
+
+  function show() {
+    const narrow = window.innerWidth < 700;  // there the panel lies at the bottom
+    line.style.bottom = narrow ? "" : "8px";
+    line.style.top = narrow ? "8px" : "";
+    const away = !socket || socket.readyState !== WebSocket.OPEN;
+    const keys = state.driving && held.size ? `\nheld: ${[...held].map((code) => code.replace(/^Key/, "")).join(" ")}` : "";
+    const text = away ? "The studio does not answer; trying again. Nothing is lost." : [state.alert, state.hint].filter(Boolean).join("\n") + keys;
+    line.textContent = text;
+    line.style.display = text ? "block" : "none";
+    line.style.outline = away || state.alert ? "2px solid #ffb000" : state.driving ? "2px solid #40c057" : "none";
+    document.documentElement.dataset.studioDriving = String(state.driving);
+    document.documentElement.dataset.studioConnected = String(!away);
+    document.documentElement.dataset.studioOpened = String(opened);
+  }
+
+  function send(message) {
+    if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+  }
+
+  function connect() {
+    socket = new WebSocket(`${base.replace(/^http/, "ws")}/control`);
+    socket.onopen = () => { opened += 1; wait = 250; lastSent = ""; show(); };
+    socket.onmessage = (event) => {
+      Object.assign(state, JSON.parse(event.data));
+      if (!state.driving) release();
+      show();
+    };
+    socket.onclose = () => { release(); show(); setTimeout(connect, wait); wait = Math.min(2 * wait, 4000); };
+  }
+
+  function typing(target) {
+    return target instanceof Element && target.closest("input:not([type=range]):not([type=checkbox]), textarea, select, [contenteditable]");
+  }
+
+  function release() {
+    if (held.size) { held.clear(); report(); }
+  }
+
+  function gamepad() {
+    const pads = navigator.getGamepads ? [...navigator.getGamepads()].filter(Boolean) : [];
+    const pad = pads.find((one) => one.mapping === "standard") || pads[0];
+    if (!pad) return null;
+    return { axes: pad.axes.map((value) => Math.round(value * 1000) / 1000), buttons: pad.buttons.map((one) => Math.round(one.value * 100) / 100) };
+  }
+
+  function report() {
+    const pad = state.driving ? gamepad() : null;
+    const message = { held: [...held].sort(), pad };
+    const text = JSON.stringify(message);
+    if (text === lastSent && !state.driving) return;
+    lastSent = text;
+    send(message);
+  }
+
+  window.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || typing(event.target)) return;
+    if (state.driving || ["Space", "Comma", "Period"].includes(event.code)) {
+      event.preventDefault();
+      event.stopImmediatePropagation();
+    }
+    if (event.repeat && state.driving) return;
+    if (state.driving) { held.add(event.code); report(); show(); }
+    if (!event.repeat || ["Comma", "Period"].includes(event.code)) send({ key: event.code });
+  }, true);
+
+  window.addEventListener("keyup", (event) => {
+    if (held.delete(event.code)) { event.stopImmediatePropagation(); report(); show(); }
+  }, true);
+
+  window.addEventListener("blur", release);
+  document.addEventListener("visibilitychange", () => { if (document.hidden) release(); });
+  setInterval(() => { if (state.driving) report(); }, 50);
+
+  document.title = "RoboXim studio";
+  const start = () => { document.body.appendChild(line); show(); connect(); };
+  if (document.body) start(); else document.addEventListener("DOMContentLoaded", start);
+})();

@@ -1,0 +1,92 @@
+import shutil
+
+import pytest
+
+from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_recorder.bag import BagReader
+from roboxim_studio.episode.film import marks, read_film
+from roboxim_studio.episode.judgement import judge, thresholds, with_thresholds
+from roboxim_studio.opening import Kind, recognise
+from roboxim_studio.panels import markup
+
+
+def test_every_tick_shows_the_bags_state_and_verdict(studio, bag):
+    film = studio.open_bag(bag)
+    assert film.pictures.complete.wait(60)
+    for tick in BagReader(bag).ticks(cameras=()):
+        studio.episode.show(tick.seq)
+        assert film.states[tick.seq].state_hash == tick.state.state_hash
+        assert tick.state.state_hash in studio.episode._state.content
+        assert studio.episode.judgement.verdicts[tick.seq] == tick.step.verdict
+        for entity in tick.state.entities:
+            body = studio.view._bodies[entity.name][1]
+            assert tuple(body.position) == pytest.approx(entity.pose.position, abs=1e-5)  # the page skips smaller moves
+    assert set(film.pictures.at(0)) == {camera.name for camera in film.info.scene.cameras}
+
+
+def test_marks_name_contact_success_and_end(bag):
+    film = read_film(bag)
+    found = {mark.name: mark.seq for mark in marks(film)}
+    solved = next(seq for seq, verdict in enumerate(film.verdicts) if verdict.success)
+    assert found["solved"] == solved
+    assert 0 < found["robot touches target"] < solved
+    assert found["end: success"] == len(film) - 1
+
+
+def test_judging_again_changes_the_verdict_and_refuses_wrong_thresholds(studio, bag):
+    film = studio.open_bag(bag)
+    panel = studio.episode
+    assert panel.judgement.verdicts == film.verdicts
+    panel.judge_again({"lift_m": 0.1, "hold_s": 5.0})
+    assert not any(verdict.success for verdict in panel.judgement.verdicts)
+    assert "with these thresholds: failure" in panel._judged.content
+    before = panel.judgement
+    panel.judge_again({"lift_m": -1.0})
+    assert "0 &lt; lift_m" in panel._judged.content
+    assert panel.judgement is before
+    assert thresholds(film.info.task) == thresholds(film.info.task) | {"lift_m": 0.05}
+    with pytest.raises(ConfigError, match="no threshold 'lift'.*lift_m"):
+        with_thresholds(film.info.task, {"lift": 1.0})
+
+
+def test_lamps_say_measure_bound_and_whether_it_holds(bag):
+    film = read_film(bag)
+    judgement = judge(film.info.task, film.states)
+    first, last = ({lamp.name: lamp for lamp in judgement.lamps(seq)} for seq in (0, len(film) - 1))
+    assert not first["lifted"].holds
+    assert last["lifted"].holds
+    assert (last["lifted"].measure, last["lifted"].bounds) == ("lift_m", "> 0.05")
+    assert last["lifted"].value > 0.05
+
+
+def test_names_from_data_are_text():
+    shown = markup.facts([("instruction", "<img src=x onerror=alert(1)>")]) + markup.paragraph("<b>&\"'")
+    assert "<img" not in shown
+    assert "<b>" not in shown
+
+
+def test_what_is_opened(run, bag, tmp_path):
+    assert recognise("").kind == Kind.NOTHING
+    assert recognise(str(bag)).kind == recognise(str(next(bag.glob("*.mcap")))).kind == Kind.BAG
+    assert recognise(str(run)).bags == (bag,)
+    assert recognise("pick_up").kind == Kind.TASK
+    with pytest.raises(ConfigError, match="neither a bag"):
+        recognise(str(tmp_path))
+    with pytest.raises(ConfigError, match="no 'no_such_task'"):
+        recognise("no_such_task")
+
+
+def test_a_run_lists_its_episodes_and_says_which_cannot_be_read(studio, run, tmp_path):
+    copy = tmp_path / "run"
+    shutil.copytree(run, copy)
+    broken = copy / "episodes" / "zz"
+    broken.mkdir()
+    (broken / "zz_0.mcap").write_bytes(b"nothing")
+    opened = recognise(str(copy))
+    studio.open(opened)
+    entries = studio.files.entries
+    assert [entry.outcome for entry in entries] == ["success", "unreadable"]
+    assert entries[0].skill == "pick_up"
+    with pytest.raises(RoboximError):
+        studio.open_bag(entries[1].path)
+    assert studio.episode.film.title == entries[0].name

@@ -1,0 +1,38 @@
+"""The studio in a real browser: its DOM, and the server's state."""
+
+
+def test_scrubbing_in_the_page_moves_the_server_and_asks_nobody_else(studio, bag, chromium):
+    film = studio.open_bag(bag)
+    chromium.requests.clear()
+    chromium.open(studio.url)
+    chromium.wait("document.querySelector('#tick-facts')?.innerText.includes('0 of')")
+    chromium.wait("document.documentElement.dataset.studioConnected === 'true'")
+    for _ in range(2):
+        chromium.key("Period", down=True)
+        chromium.key("Period", down=False)
+    chromium.wait("document.querySelector('#tick-facts').innerText.includes('2 of')")
+    assert studio.episode.tick == 2
+    assert film.states[2].state_hash in chromium.text("#tick-facts")
+    chromium.click("Last")
+    last = len(film) - 1
+    chromium.wait(f"document.querySelector('#tick-facts').innerText.includes('{last} of {last}')")
+    chromium.wait("document.querySelector('tr[data-condition=lifted]')?.dataset.holds === '1'")
+    asked = [url for url in chromium.requests if not url.startswith(("data:", "blob:", "about:"))]
+    assert asked
+    assert all(f"//127.0.0.1:{studio.site.port}/" in url + "/" for url in asked), asked
+    assert not chromium.errors
+
+
+def test_a_page_that_is_cut_off_comes_back_and_nothing_scrolls_sideways_on_a_phone(studio, bag, chromium):
+    studio.open_bag(bag)
+    chromium.resize(390, 844, 2.0, phone=True)
+    chromium.open(studio.url)
+    chromium.wait("document.documentElement.dataset.studioConnected === 'true'")
+    chromium.wait("document.querySelector('canvas') && document.body.innerText.includes('RoboXim studio')")
+    assert chromium.run("document.documentElement.scrollWidth") <= 390
+    studio.site.cut()
+    chromium.wait("document.documentElement.dataset.studioOpened === '2'")
+    chromium.wait("document.documentElement.dataset.studioConnected === 'true'")
+    studio.episode.show(3)
+    assert studio.episode.tick == 3
+    chromium.resize(900, 600)
