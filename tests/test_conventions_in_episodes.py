@@ -7,8 +7,7 @@ pytest.importorskip("rclpy")
 
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.cores import CorePlanner
-from roboxim_core.actions import ActionSemantics
-from roboxim_core.actions.rows import ArmTrack
+from roboxim_core.actions import ActionContext, ActionSemantics
 from roboxim_core.config_folders import config_names
 from roboxim_core.conventions import decode_actions, from_actions, load_convention
 from roboxim_core.episode import EpisodeRunner, RunConfig
@@ -50,7 +49,7 @@ class SaidInAConvention(BasePolicy):
 
     def numbers(self, states, labels):
         """Return the convention's numbers for actions, each with the state before it."""
-        track = ArmTrack.of(states, self.scene.robot.pose, self.arm)
+        track = [ActionContext.of(state, self.scene.robot.pose, self.arm) for state in states]
         source = ActionSemantics(rate_hz=self.scene.control_rate_hz)
         return from_actions(self.convention, labels, track, source=source).astype(np.float32)
 

@@ -11,14 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.errors import InvalidRequestError, one_of
+from roboxim_core.errors import InvalidRequestError
+from roboxim_core.plain_data.closed_enum import ClosedEnum
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.rotation.quaternions import axes_of_quat
 from roboxim_core.rotation.representations import RotationRepresentation, decode, encode, gripper_down
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Vec6 = tuple[float, float, float, float, float, float]
 
 
-class ProprioField(StrEnum):
+class ProprioField(ClosedEnum):
     """Fields that `Proprioception.vector` can contain; the number of components is in parentheses."""
 
     TCP_POSITION = "tcp_position"
@@ -47,10 +47,6 @@ class ProprioField(StrEnum):
     """Arm joint velocities [rad/s] (one per joint)."""
     GRIPPER_OPENING = "gripper_opening"
     """1 = open, 0 = closed, linear in the total opening (1)."""
-
-    @classmethod
-    def _missing_(cls, value: object) -> None:
-        raise ValueError(f"unknown field of proprioception {value!r}; {one_of(list(cls), str(value))}")
 
 
 STATE_FIELDS = (ProprioField.TCP_POSITION, ProprioField.TCP_ROTATION_6D, ProprioField.GRIPPER_OPENING)

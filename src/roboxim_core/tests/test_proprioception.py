@@ -11,8 +11,6 @@ from roboxim_core.poses import IDENTITY, Pose, distance
 from roboxim_core.proprioception import STATE_NAMES, Proprioception, ProprioField
 from roboxim_core.rotation.representations import (
     RotationRepresentation,
-    continued_angles,
-    continued_quaternions,
     decode,
     encode,
     gripper_down,
@@ -107,16 +105,3 @@ def test_a_horizontal_gripper_loses_no_accuracy_in_euler_angles(pitch, represent
     )
     again = decode(encode(rotation, kind), kind)
     np.testing.assert_allclose(again.as_matrix(), rotation.as_matrix(), atol=1e-9)
-
-
-def test_an_episode_s_quaternions_and_angles_are_continued():
-    turns = np.linspace(0.0, 4 * np.pi, 60)
-    rotations = Rotation.from_euler("z", turns[:, None]) * gripper_down()
-    rows = np.stack([encode(r, RotationRepresentation.QUATERNION_XYZW, gripper_down()) for r in rotations])
-    assert np.abs(np.diff(rows, axis=0)).max() > 1.0
-    whole = continued_quaternions(rows)
-    assert np.abs(np.diff(whole, axis=0)).max() < 0.12
-    assert np.array_equal(whole[0], rows[0])
-    np.testing.assert_allclose(np.abs(whole), np.abs(rows))
-    wrapped = rotations.as_euler("xyz")[:, 2:]
-    assert np.abs(np.diff(continued_angles(wrapped), axis=0)).max() < 0.3

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roboxim_core.actions import ActionSemantics
-from roboxim_core.actions.rows import ArmTrack, convert_rows
+from roboxim_core.actions import ActionContext, ActionSemantics
+from roboxim_core.actions.transforms import convert_rows
 from roboxim_core.config_folders import config_names
 from roboxim_core.conventions import Convention, decode_actions, from_actions, load_convention
 from roboxim_core.conventions.images import Picture
@@ -70,7 +70,7 @@ class RoundTrip:
         return text + clipped * bool(self.clipped)
 
 
-def round_trip(convention: Convention, actions: Floats, track: ArmTrack) -> RoundTrip:
+def round_trip(convention: Convention, actions: Floats, track: Sequence[ActionContext]) -> RoundTrip:
     """Send the expert's actions backwards and forwards through a convention.
 
     Args:

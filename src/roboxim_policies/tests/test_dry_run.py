@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from roboxim_core.actions.rows import ArmTrack, PoseRows
+from roboxim_core.actions.transforms import ActionContext
 from roboxim_core.conventions import load_convention
+from roboxim_core.poses import Pose
 from roboxim_policies.dry_run import Answers, proven, round_trip, suspicions
 
 LIBERO, BRIDGE, ROBOXIM = (load_convention(name) for name in ("libero", "bridge", "roboxim"))
@@ -130,8 +131,8 @@ def test_empty_pictures_are_named():
 def track(count):
     rng = np.random.default_rng(1)
     rotations = Rotation.from_rotvec(rng.normal(size=(count, 3)) * 0.1) * Rotation.from_quat([1.0, 0.0, 0.0, 0.0])
-    poses = PoseRows(positions=rng.normal(size=(count, 3)), rotations=rotations)
-    return ArmTrack(commanded=poses, measured=poses)
+    poses = map(Pose.from_arrays, rng.normal(size=(count, 3)), rotations)
+    return [ActionContext(pose_commanded=pose, pose_measured=pose) for pose in poses]
 
 
 @pytest.mark.parametrize("convention", [LIBERO, BRIDGE, ROBOXIM])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from roboxim_core.actions import ActionSemantics
-from roboxim_core.actions.rows import ArmTrack, convert_rows
+from roboxim_core.actions.transforms import ActionContext, convert_rows
 from roboxim_core.config import named_config
 from roboxim_core.conventions import load_convention, observe
 from roboxim_core.errors import InvalidRequestError, RecorderError
@@ -37,7 +37,7 @@ def exported(run, **options):
 
 
 def track(fake, seqs):
-    return ArmTrack.of([fake(steps=STEPS).state(seq) for seq in seqs])
+    return [ActionContext.of(fake(steps=STEPS).state(seq)) for seq in seqs]
 
 
 def labels(fake):
@@ -113,7 +113,7 @@ def test_the_state_has_the_fields_asked_for(run):
     assert len(episode.vectors["state"]) == 8
     assert episode.vectors["state"][-1] == "gripper.opening"
     assert next(episode.steps(())).proprio["state"].shape == (8,)
-    with pytest.raises(InvalidRequestError, match="state: unknown field.*did you mean 'tcp_position'"):
+    with pytest.raises(InvalidRequestError, match="state: unknown value.*did you mean 'tcp_position'"):
         exported(run, state="tcp_positions")
 
 

@@ -18,8 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from roboxim_core.actions.chunks import ActionArray
-from roboxim_core.actions.semantics import ActionSemantics, ClosedEnum, ControlMode
+from roboxim_core.actions.semantics import ActionSemantics, ControlMode
 from roboxim_core.errors import InvalidRequestError
+from roboxim_core.plain_data.closed_enum import ClosedEnum
 from roboxim_core.rotation.representations import RotationRepresentation, decode, encode, gripper_down
 
 

@@ -12,17 +12,10 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import ClassVar
 
-from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, one_of
+from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError
+from roboxim_core.plain_data.closed_enum import ClosedEnum
 from roboxim_core.rates import ANY_RATE, DEFAULT_RATE_HZ
 from roboxim_core.rotation.representations import RotationRepresentation
-
-
-class ClosedEnum(StrEnum):
-    """A set of named values; an unknown one is refused with a suggestion."""
-
-    @classmethod
-    def _missing_(cls, value: object) -> None:
-        raise ValueError(f"unknown value {value!r}; {one_of(list(cls), str(value))}")
 
 
 class ControlMode(ClosedEnum):

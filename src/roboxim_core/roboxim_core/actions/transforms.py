@@ -21,7 +21,7 @@ neither to the gripper's range nor to the limits per tick.
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
@@ -70,6 +70,9 @@ class ActionContext:
     """Commanded arm joint positions [rad]."""
     joints_measured: Joints | None = None
     """Measured arm joint positions [rad]."""
+    joints_after: Joints | None = None
+    """Commanded arm joint positions after the action [rad], where a recording has them. A transform into joint space
+    takes them instead of the inverse kinematics."""
     kinematics: Kinematics | None = None
     """The robot's kinematics."""
 
@@ -101,6 +104,7 @@ class ActionContext:
             pose_measured=None,
             joints_commanded=target.joints,
             joints_measured=None,
+            joints_after=None,
         )
 
 
@@ -118,10 +122,12 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class ActionTransform:
-    """Converter of actions. `between` makes one, `then` chains two, `inverse` reverses one."""
+    """Converter of actions from one meaning to another; make it by `between`."""
 
-    steps: tuple[ActionSemantics, ...]
-    """Meanings that an action passes through, first to last; at least two."""
+    source: ActionSemantics
+    """Meaning of the actions that `apply` takes."""
+    target: ActionSemantics
+    """Meaning of the actions that `apply` returns."""
 
     @staticmethod
     def between(source: ActionSemantics, target: ActionSemantics) -> ActionTransform:
@@ -142,54 +148,25 @@ class ActionTransform:
                 "a joint velocity is a motion per tick at a known rate only: set rate_hz on either side",
                 ErrorCode.SEMANTICS_MISMATCH,
             )
-        return ActionTransform(steps=(replace(source, rate_hz=rate_hz), replace(target, rate_hz=rate_hz)))
-
-    @property
-    def source(self) -> ActionSemantics:
-        """Meaning of the input actions."""
-        return self.steps[0]
-
-    @property
-    def target(self) -> ActionSemantics:
-        """Meaning of the output actions."""
-        return self.steps[-1]
+        return ActionTransform(source=replace(source, rate_hz=rate_hz), target=replace(target, rate_hz=rate_hz))
 
     @property
     def needs_kinematics(self) -> bool:
-        """Whether the context must contain the robot's kinematics."""
-        return len({step.control.is_joint_space for step in self.steps}) > 1
-
-    @property
-    def invertible(self) -> bool:
-        """Whether `inverse` restores the target of every action, up to rounding."""
-        return not self.needs_kinematics
+        """Whether it leads from joint space to the end effector or back."""
+        return self.source.control.is_joint_space != self.target.control.is_joint_space
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Names of the context's fields that the transform reads."""
+        """Fields of the `ActionContext` that it requires."""
         needed = {
-            f"{'joints' if step.control.is_joint_space else 'pose'}_{step.delta_base}"
-            for step in (self.source, self.target)
-            if step.control.is_relative
+            f"{'joints' if side.control.is_joint_space else 'pose'}_{side.delta_base}"
+            for side in (self.source, self.target)
+            if side.control.is_relative
         }
         if self.needs_kinematics:
             needed |= {"kinematics"}
-        if any(b.control.is_joint_space and not a.control.is_joint_space for a, b in itertools.pairwise(self.steps)):
-            needed |= {"joints_commanded"}  # where the search for joints starts
+            needed |= {"joints_commanded"} if self.target.control.is_joint_space else set()  # where the IK starts
         return tuple(sorted(needed))
-
-    def inverse(self) -> ActionTransform:
-        """Return the inverse transform, for the same context. See `invertible`."""
-        return ActionTransform(steps=self.steps[::-1])
-
-    def then(self, other: ActionTransform) -> ActionTransform:
-        """Return this transform followed by another.
-
-        Raises:
-            EvaluationError: With code ``SEMANTICS_MISMATCH`` when the other does not begin where this one ends.
-        """
-        self.target.require_compatible(other.source, mine="the first transform's end", theirs="the second's start")
-        return ActionTransform(steps=self.steps + other.steps[1:])
 
     def apply(self, action: npt.ArrayLike, context: ActionContext) -> Floats:
         """Convert one action.
@@ -228,17 +205,43 @@ class ActionTransform:
         return np.stack(rows)
 
     def _convert(self, action: npt.ArrayLike, context: ActionContext) -> tuple[Floats, Target]:
+        replaced = ("kinematics", "joints_commanded") if context.joints_after else ()
         for name in self.needs:
-            if getattr(context, name) is None:
+            if getattr(context, name) is None and name not in replaced:
                 raise InvalidRequestError(
                     f"the transform from {_shown(self.source)} to {_shown(self.target)} needs '{name}', which the "
                     "context lacks; a measurement is known for the first action of a chunk only"
                 )
         target = target_of(action, self.source, context)
-        for before, after in itertools.pairwise(self.steps):
-            if after.control.is_joint_space != before.control.is_joint_space:
-                target = _change_space(target, after.control.is_joint_space, context)
+        if self.needs_kinematics:
+            target = _change_space(target, self.target.control.is_joint_space, context)
         return action_of(target, self.target, context), target
+
+
+def convert_rows(
+    rows: npt.ArrayLike, source: ActionSemantics, target: ActionSemantics, track: Sequence[ActionContext]
+) -> Floats:
+    """Convert actions, each with the state before it, e.g. those of a recorded episode.
+
+    A delta to the measured state is exact for every action, also inside of a chunk.
+
+    Args:
+        rows: Shape (n, D).
+        source: Meaning of the actions.
+        target: Meaning of the result; of the same rate.
+        track: State of the arm before each of the n actions.
+
+    Returns:
+        float64, shape (n, D').
+
+    Raises:
+        InvalidRequestError: As `ActionTransform.apply`, or when the numbers of actions and states differ.
+        EvaluationError: With code ``SEMANTICS_MISMATCH`` when the rates differ.
+    """
+    transform, values = ActionTransform.between(source, target), np.asarray(rows, dtype=float)
+    if len(values) != len(track):
+        raise InvalidRequestError(f"{len(values)} actions need the state before each, got {len(track)} states")
+    return np.stack([transform.apply(row, context) for row, context in zip(values, track, strict=True)])
 
 
 def target_of(action: npt.ArrayLike, semantics: ActionSemantics, context: ActionContext) -> Target:
@@ -322,6 +325,8 @@ def _bases(semantics: ActionSemantics, context: ActionContext) -> tuple[Joints |
 
 def _change_space(target: Target, into_joint_space: bool, context: ActionContext) -> Target:
     """Convert a target to joint space by inverse kinematics, or out of it by forward kinematics."""
+    if into_joint_space and context.joints_after:
+        return replace(target, joints=context.joints_after)
     kinematics = _present(context.kinematics, "kinematics")
     if not into_joint_space:
         return replace(target, pose=kinematics.fk(_present(target.joints, "joints of the target")))

@@ -13,7 +13,7 @@ for such a policy is written, so what is trained is what is evaluated.
 Non-obvious: in a chunk of deltas to the *measured* state, action k is added to the state measured at tick k, which is
 not known when the chunk arrives. A policy therefore declares `Convention.semantics` and returns decoded actions; the
 episode loop converts each one at its own tick. `to_actions` and `from_actions` take the state before every action
-(`ArmTrack`) for the same reason.
+for the same reason.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from roboxim_core import actions, limits
 from roboxim_core.actions import ActionContext, ActionSemantics, ActionTransform
 from roboxim_core.actions.gripper import GripperSwitch
 from roboxim_core.actions.lag import MotionLag
-from roboxim_core.actions.rows import ArmTrack, convert_rows
+from roboxim_core.actions.transforms import convert_rows
 from roboxim_core.config import from_plain, load_yaml, named_config
 from roboxim_core.conventions.frames import Frames
 from roboxim_core.conventions.images import ImageInput
@@ -298,7 +298,7 @@ def decode_actions(convention: Convention, raw: npt.ArrayLike) -> Floats:
 def to_actions(
     convention: Convention,
     raw: npt.ArrayLike,
-    track: ArmTrack | ActionContext,
+    track: Sequence[ActionContext] | ActionContext,
     gripper: GripperSwitch | None = None,
     lag: MotionLag | None = None,
 ) -> Floats:
@@ -330,7 +330,7 @@ def to_actions(
 def from_actions(
     convention: Convention,
     actions: npt.ArrayLike,
-    track: ArmTrack | ActionContext,
+    track: Sequence[ActionContext] | ActionContext,
     *,
     source: ActionSemantics | None = None,
 ) -> Floats:
@@ -359,13 +359,13 @@ def from_actions(
 
 
 def _converted(
-    rows: Floats, track: ArmTrack | ActionContext, source: ActionSemantics, target: ActionSemantics
+    rows: Floats, track: Sequence[ActionContext] | ActionContext, source: ActionSemantics, target: ActionSemantics
 ) -> Floats:
     if not source.differing(target):
         return rows
-    if isinstance(track, ArmTrack):
-        return convert_rows(rows, source, target, track)
-    return ActionTransform.between(source, target).apply_chunk(rows, track)
+    if isinstance(track, ActionContext):
+        return ActionTransform.between(source, target).apply_chunk(rows, track)
+    return convert_rows(rows, source, target, track)
 
 
 __all__ = [

@@ -8,19 +8,19 @@ from __future__ import annotations
 import io
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
 from roboxim_core import limits
-from roboxim_core.errors import InvalidRequestError, one_of
+from roboxim_core.errors import InvalidRequestError
+from roboxim_core.plain_data.closed_enum import ClosedEnum
 
 Picture = npt.NDArray[np.uint8]
 
 
-class Resize(StrEnum):
+class Resize(ClosedEnum):
     """How a picture is brought to the size that the policy expects."""
 
     PAD = "pad"
@@ -37,22 +37,14 @@ class Resize(StrEnum):
     NONE = "none"
     """Refuse a picture of another size."""
 
-    @classmethod
-    def _missing_(cls, value: object) -> None:
-        raise ValueError(f"unknown kind of resizing {value!r}; {one_of(list(cls), str(value))}")
 
-
-class Layout(StrEnum):
+class Layout(ClosedEnum):
     """Order of a picture's axes."""
 
     HWC = "hwc"
     """(height, width, 3)."""
     CHW = "chw"
     """(3, height, width)."""
-
-    @classmethod
-    def _missing_(cls, value: object) -> None:
-        raise ValueError(f"unknown layout {value!r}; {one_of(list(cls), str(value))}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,19 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from roboxim_core.errors import ConfigError, InvalidRequestError, one_of
+from roboxim_core.plain_data.closed_enum import ClosedEnum
 from roboxim_core.plain_data.documents import parse_json, read_text
 from roboxim_core.rotation.representations import Floats
 from roboxim_core.user_folders import expanded
 
 
-class NormalisationKind(StrEnum):
+class NormalisationKind(ClosedEnum):
     """How numbers were normalised."""
 
     QUANTILES = "quantiles"
@@ -30,10 +30,6 @@ class NormalisationKind(StrEnum):
     """min and max are -1 and 1."""
     MEAN_STD = "mean_std"
     """Mean 0 and standard deviation 1 (Octo's ``normal``)."""
-
-    @classmethod
-    def _missing_(cls, value: object) -> None:
-        raise ValueError(f"unknown kind of normalisation {value!r}; {one_of(list(cls), str(value))}")
 
 
 _NAMES = {

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy.typing as npt
 from roboxim_core import limits
 from roboxim_core.conventions.frames import Frames
 from roboxim_core.errors import InvalidRequestError, one_of
+from roboxim_core.plain_data.closed_enum import ClosedEnum
 from roboxim_core.proprioception import Proprioception
 from roboxim_core.rotation.representations import Floats, RotationRepresentation, decode_rows, encode_rows, gripper_down
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 
-class StateField(StrEnum):
+class StateField(ClosedEnum):
     """Measurements that a state can contain."""
 
     TCP_POSITION = "tcp_position"
@@ -38,10 +38,6 @@ class StateField(StrEnum):
     """Opening of the gripper, linear from ``closed`` to ``open`` (one number or several, e.g. one per finger)."""
     CONSTANT = "constant"
     """The numbers ``values``, e.g. padding."""
-
-    @classmethod
-    def _missing_(cls, value: object) -> None:
-        raise ValueError(f"unknown field of a state {value!r}; {one_of(list(cls), str(value))}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,17 +17,15 @@ import numpy.typing as npt
 from roboxim_core.actions import ActionArray, ActionSemantics, check_chunk
 from roboxim_core.errors import ErrorCode, InvalidRequestError
 from roboxim_core.kinematics.arm import ArmKinematics
-from roboxim_core.kinematics.controller import ControllerState, ControlStep
-from roboxim_core.kinematics.workspace import WorkspaceBox
-from roboxim_core.poses import IDENTITY, Pose
+from roboxim_core.kinematics.controller import Controller, ControllerState, ControlStep
+from roboxim_core.poses import Pose
 from roboxim_core.rotation.quaternions import euler_from_quat, quat_from_euler, quat_inverse, quat_product
-from roboxim_core.specs import WorkspaceSpec
 
 _SLACK = 1.0 + 1e-6
 """Tolerance factor of the limits, so that a clipped action, rounded to float32, passes the limit that clipped it."""
 
 
-class DeltaController:
+class DeltaController(Controller):
     """Converter of actions to commanded poses and joint targets.
 
     Bit-deterministic; not thread-safe (see `ArmKinematics`).
@@ -34,37 +33,15 @@ class DeltaController:
     Note: a commanded pose that starts outside the workspace is not moved inside; it only cannot move farther out.
     """
 
-    def __init__(
-        self,
-        arm: ArmKinematics,
-        *,
-        workspace: WorkspaceSpec | None = None,
-        pose_base_in_world: Pose = IDENTITY,
-        semantics: ActionSemantics | None = None,
-    ) -> None:
+    def __init__(self, arm: ArmKinematics, *, semantics: ActionSemantics | None = None, **place: Any) -> None:
         """Make a controller.
 
         Args:
             arm: Kinematics.
-            workspace: Box in the world that the commanded tool centre point stays in; None: the default.
-            pose_base_in_world: Pose of the robot's base.
             semantics: Rate and limits; None: the default.
+            **place: Workspace and base, see `Controller`.
         """
-        self.arm = arm
-        self.semantics = semantics or ActionSemantics()
-        self._box = WorkspaceBox(workspace or WorkspaceSpec(), pose_base_in_world)
-        self._max_joint_step = arm.velocity / self.semantics.rate_hz
-
-    def start(self, joints: npt.ArrayLike, gripper: float = 1.0) -> ControllerState:
-        """Return the controller's state for an arm at rest.
-
-        Args:
-            joints: Arm joint positions, shape (n,) [rad].
-            gripper: Opening, 1 = open.
-        """
-        return ControllerState(
-            pose=self.arm.fk(joints), joints=tuple(np.asarray(joints, dtype=float).tolist()), gripper=float(gripper)
-        )
+        super().__init__(arm, semantics=semantics or ActionSemantics(), **place)
 
     def step(self, state: ControllerState, action: npt.ArrayLike, joints_measured: Sequence[float] = ()) -> ControlStep:
         """Integrate one action.

@@ -18,55 +18,19 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.actions import ActionArray, ActionContext, ActionSemantics, check_chunk
+from roboxim_core.actions import ActionArray, ActionContext, check_chunk
 from roboxim_core.actions.transforms import Target, action_of, target_of
 from roboxim_core.errors import ErrorCode, InvalidRequestError
-from roboxim_core.kinematics.arm import ArmKinematics
-from roboxim_core.kinematics.controller import ControllerState, ControlStep
-from roboxim_core.kinematics.workspace import WorkspaceBox
-from roboxim_core.poses import IDENTITY, Array, Pose
-from roboxim_core.specs import WorkspaceSpec
+from roboxim_core.kinematics.controller import Controller, ControllerState, ControlStep
+from roboxim_core.poses import Array
 
 _SLACK_RAD = 1e-6
 """Tolerance of the limits, so that a clipped action, rounded to float32, passes the limits that clipped it [rad]."""
 _BISECTIONS = 30
 
 
-class JointController:
+class JointController(Controller):
     """Converter of joint positions, velocities or deltas to joint targets. Not thread-safe (see `ArmKinematics`)."""
-
-    def __init__(
-        self,
-        arm: ArmKinematics,
-        *,
-        semantics: ActionSemantics,
-        workspace: WorkspaceSpec | None = None,
-        pose_base_in_world: Pose = IDENTITY,
-    ) -> None:
-        """Make a controller.
-
-        Args:
-            arm: Kinematics and limits.
-            semantics: Meaning of the actions, in joint space, with the control rate.
-            workspace: Box in the world that the commanded tool centre point stays in; None: the default.
-            pose_base_in_world: Pose of the robot's base.
-        """
-        self.arm = arm
-        self.semantics = semantics
-        self._size = semantics.dimension(len(arm.model.joint_names))
-        self._max_step = arm.velocity / semantics.rate_hz
-        self._box = WorkspaceBox(workspace or WorkspaceSpec(), pose_base_in_world)
-
-    def start(self, joints: npt.ArrayLike, gripper: float = 1.0) -> ControllerState:
-        """Return the controller's state for an arm at rest.
-
-        Args:
-            joints: Arm joint positions, shape (n,) [rad].
-            gripper: Opening, 1 = open.
-        """
-        return ControllerState(
-            pose=self.arm.fk(joints), joints=tuple(np.asarray(joints, dtype=float).tolist()), gripper=float(gripper)
-        )
 
     def step(self, state: ControllerState, action: npt.ArrayLike, joints_measured: Sequence[float] = ()) -> ControlStep:
         """Integrate one action.
@@ -96,11 +60,11 @@ class JointController:
         )
 
     def _checked(self, action: npt.ArrayLike) -> ActionArray:
-        chunk = check_chunk(action, size=None)
-        if chunk.shape != (1, self._size):
+        chunk, size = check_chunk(action, size=None), self.semantics.dimension(len(self.arm.model.joint_names))
+        if chunk.shape != (1, size):
             names = ", ".join(self.semantics.component_names(self.arm.model.joint_names))
             raise InvalidRequestError(
-                f"an action of '{self.semantics.control}' for this robot is {self._size} numbers ({names}), "
+                f"an action of '{self.semantics.control}' for this robot is {size} numbers ({names}), "
                 f"got shape {np.shape(action)}",
                 ErrorCode.INVALID_ACTION,
             )
@@ -117,7 +81,7 @@ class JointController:
         """Return the action within the limits of speed, position and opening, and whether it exceeded one."""
         wanted = np.array(target_of(action, self.semantics, context).joints)
         now = np.array(state.joints)
-        share = float(np.min(self._max_step / np.maximum(np.abs(wanted - now), self._max_step)))
+        share = float(np.min(self._max_joint_step / np.maximum(np.abs(wanted - now), self._max_joint_step)))
         limited = np.clip(now + share * (wanted - now), self.arm.lower, self.arm.upper)
         opening = min(max(float(action[-1]), 0.0), 1.0)
         executed, clipped = action, opening != float(action[-1])

@@ -14,14 +14,14 @@ For a rotation delta ``near`` is the identity, for an absolute pose of the tool 
 from __future__ import annotations
 
 import math
-from enum import StrEnum
 from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.errors import ErrorCode, InvalidRequestError, one_of
+from roboxim_core.errors import ErrorCode, InvalidRequestError
+from roboxim_core.plain_data.closed_enum import ClosedEnum
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -31,7 +31,7 @@ Floats = npt.NDArray[np.float64]
 _SMALLEST = 1e-6
 
 
-class RotationRepresentation(StrEnum):
+class RotationRepresentation(ClosedEnum):
     """Representation of a rotation as numbers."""
 
     EULER_XYZ_EXTRINSIC = "euler_xyz_extrinsic"
@@ -52,10 +52,6 @@ class RotationRepresentation(StrEnum):
     """Unit quaternion, scalar first."""
     NONE = "none"
     """The action contains no rotation (joint space)."""
-
-    @classmethod
-    def _missing_(cls, value: object) -> None:
-        raise ValueError(f"unknown rotation representation {value!r}; {one_of(list(cls), str(value))}")
 
     @property
     def component_names(self) -> tuple[str, ...]:
@@ -192,31 +188,8 @@ def encode_rows(rotations: Rotation, representation: RotationRepresentation, nea
     Returns:
         float64, shape (n, `RotationRepresentation.size`).
     """
-    near = identity_rotation() if near is None else near
-    kind = RotationRepresentation
-    match representation:
-        case kind.ROTATION_6D:
-            return np.asarray(rotations.as_matrix()[:, :, :2].transpose(0, 2, 1).reshape(-1, 6))
-        case kind.ROTATION_6D_INTERLEAVED:
-            return np.asarray(rotations.as_matrix()[:, :, :2].reshape(-1, 6))
-        case kind.ROTATION_6D_ROWS:
-            return np.asarray(rotations.as_matrix()[:, :2].reshape(-1, 6))
-        case kind.QUATERNION_XYZW:
-            return _signed_rows(rotations, near)
-        case kind.QUATERNION_WXYZ:
-            return np.roll(_signed_rows(rotations, near), 1, axis=1)
-        case kind.ROTATION_VECTOR:
-            quaternions = _signed_rows(rotations, near)
-            length = np.linalg.norm(quaternions[:, :3], axis=1)
-            angle = 2.0 * np.arctan2(length, quaternions[:, 3])
-            factor = np.where(length > 1e-12, angle / np.maximum(length, 1e-12), 2.0)
-            return np.asarray(quaternions[:, :3] * factor[:, None])
-        case kind.EULER_XYZ_EXTRINSIC | kind.EULER_XYZ_INTRINSIC:
-            angles = _extrinsic_xyz if representation == kind.EULER_XYZ_EXTRINSIC else _intrinsic_xyz
-            rows = [angles(matrix) for matrix in rotations.as_matrix()]
-            return _near(np.array(rows).reshape(-1, 3), angles(near.as_matrix()))
-        case kind.NONE:
-            return np.zeros((len(rotations), 0))
+    rows = [encode(rotation, representation, near) for rotation in rotations]
+    return np.array(rows).reshape(len(rows), representation.size)
 
 
 def decode_rows(values: npt.ArrayLike, representation: RotationRepresentation) -> Rotation:
@@ -239,32 +212,9 @@ def decode_rows(values: npt.ArrayLike, representation: RotationRepresentation) -
     return Rotation.from_quat([decode(row, representation).as_quat() for row in rows])
 
 
-def continued_quaternions(quaternions: npt.ArrayLike) -> Floats:
-    """Return equal rotations whose signs do not flip between consecutive rows; the first row keeps its sign.
-
-    Args:
-        quaternions: Shape (T, 4), any order of components.
-    """
-    rows = np.array(quaternions, dtype=float)
-    flips = np.sum(rows[1:] * rows[:-1], axis=1) < 0.0
-    signs = np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)
-    rows[1:] *= signs[:, None]
-    return rows
-
-
-def continued_angles(angles: npt.ArrayLike) -> Floats:
-    """Return equal angles [rad], shape (T, n), without jumps of a full turn between consecutive rows."""
-    return np.asarray(np.unwrap(np.asarray(angles, dtype=float), axis=0))
-
-
 def _signed(rotation: Rotation, near: Rotation) -> Floats:
     quaternion = np.asarray(rotation.as_quat(), dtype=float)
     return -quaternion if float(quaternion @ near.as_quat()) < 0.0 else quaternion
-
-
-def _signed_rows(rotations: Rotation, near: Rotation) -> Floats:
-    quaternions = np.asarray(rotations.as_quat(), dtype=float).reshape(-1, 4)
-    return quaternions * np.where(quaternions @ near.as_quat() < 0.0, -1.0, 1.0)[:, None]
 
 
 def _near(angles: Floats, reference: Floats) -> Floats:

@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionContext
-from roboxim_core.actions.rows import ArmTrack, PoseRows
 from roboxim_core.conventions import decode_actions, joined_answer, load_convention, observe, to_actions
 from roboxim_core.policies import Observation
 from roboxim_core.poses import Pose
@@ -112,8 +111,7 @@ def test_groots_fractal_gripper_stays_between_its_thresholds_and_15_steps_after_
     convention = load_convention("groot_fractal")
     raw = np.zeros((20, 7))
     raw[:, 6] = [0.7, 0.3, 0.2] + [0.9] * 17  # SimplerEnv: |2 g - 1| > 0.5 acts, and then for 15 steps
-    poses = PoseRows.of([DOWN] * 20)
-    openings = to_actions(convention, raw, ArmTrack(commanded=poses, measured=poses))[:, 6]
+    openings = to_actions(convention, raw, _still(20))[:, 6]
     assert openings.tolist() == [1, 1] + [0] * 15 + [1] * 3
 
 
@@ -140,8 +138,7 @@ def test_starvlas_libero_motions_are_oscs_and_its_gripper_is_1_when_open():
 
 
 def _still(count):
-    poses = PoseRows.of([DOWN] * count)
-    return ArmTrack(commanded=poses, measured=poses)
+    return [ActionContext(pose_commanded=DOWN, pose_measured=DOWN)] * count
 
 
 def test_x_vlas_proprio_and_poses_are_in_the_frame_of_robosuites_controller():

@@ -35,7 +35,7 @@ def test_a_convention_survives_json(name):
     [
         ("{}", "rate_hz: required key is missing"),
         ("rate_hz: 10\nacton: {}", "did you mean 'action'"),
-        ("rate_hz: 10\naction: {rotation: eulers}", "unknown rotation representation 'eulers'"),
+        ("rate_hz: 10\naction: {rotation: eulers}", "unknown value 'eulers'"),
         ("rate_hz: 10\naction: {control: joint_delta, joints: 7, order: [0, 1]}", "order must name 8"),
         ("rate_hz: 10\naction: {rotation: rotation_6d, rotation_scale_rad: 0.5}", "rotation_scale_rad must be 1"),
         ("rate_hz: 10\naction: {translation_range: [1, -1]}", "translation_range must be two numbers"),
@@ -46,7 +46,7 @@ def test_a_convention_survives_json(name):
         ("rate_hz: 10\nimages: [{camera: wrist, key: a, resize: crops}]", "did you mean 'crop'"),
         ("rate_hz: 10\nimages: [{camera: wrist, key: a, width: 0}]", "width of image 'a' must be from 1"),
         ("rate_hz: 10\nstates: [{key: s, parts: []}]", "state 's' has no parts"),
-        ("rate_hz: 10\nstates: [{key: s, parts: [{field: tcp}]}]", "unknown field of a state 'tcp'"),
+        ("rate_hz: 10\nstates: [{key: s, parts: [{field: tcp}]}]", "unknown value 'tcp'"),
         ("rate_hz: 10\nstates: [{key: s, parts: [{field: gripper, open: [1, 2]}]}]", "different lists of one length"),
         ("rate_hz: 10\nstates: [{key: s, parts: [{field: tcp_position, components: [3]}]}]", "no component 3"),
         ("rate_hz: 10\nframes: {base_axes: [x, y, y]}", "x, y and z once each"),

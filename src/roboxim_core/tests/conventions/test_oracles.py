@@ -11,7 +11,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionContext, MotionLag
-from roboxim_core.actions.rows import ArmTrack, PoseRows
 from roboxim_core.config_folders import config_names
 from roboxim_core.conventions import ArmReadings, decode_actions, load_convention, observe, to_actions
 from roboxim_core.policies import Observation
@@ -374,8 +373,7 @@ def observed(convention, proprio):
 
 def _still(count):
     """Return the track of an arm that stands still."""
-    poses = PoseRows.of([DOWN] * count)
-    return ArmTrack(commanded=poses, measured=poses)
+    return [ActionContext(pose_commanded=DOWN, pose_measured=DOWN)] * count
 
 
 @pytest.mark.parametrize(

@@ -9,14 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from roboxim_core.actions import ActionContext, ActionSemantics, ActionTransform
+from roboxim_core.actions import ActionContext, ActionSemantics
 from roboxim_core.actions.gripper import GripperSwitch
-from roboxim_core.actions.rows import ArmTrack, PoseRows, action_rows, convert_rows, target_rows
+from roboxim_core.actions.transforms import convert_rows, target_of
 from roboxim_core.config_folders import config_names
 from roboxim_core.conventions import ArmReadings, from_actions, load_convention, to_actions
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Pose
 
 NAMES = config_names("conventions")
 END_EFFECTOR = [name for name in NAMES if not load_convention(name).semantics.control.is_joint_space]
@@ -31,17 +32,16 @@ def panda():
 def poses(rng, count):
     """Return poses around the working pose, tilted by up to about 60 degrees."""
     tilt = Rotation.from_rotvec(rng.uniform(-0.6, 0.6, (count, 3)))
-    return PoseRows(
-        positions=np.array([0.5, 0.0, 0.3]) + rng.uniform(-0.1, 0.1, (count, 3)),
-        rotations=tilt * Rotation.from_quat([1.0, 0.0, 0.0, 0.0]),
-    )
+    positions = np.array([0.5, 0.0, 0.3]) + rng.uniform(-0.1, 0.1, (count, 3))
+    return list(map(Pose.from_arrays, positions, tilt * Rotation.from_quat([1.0, 0.0, 0.0, 0.0])))
 
 
 def track(rng, count):
-    return ArmTrack(
-        commanded=poses(rng, count), measured=poses(rng, count),
-        joints_commanded=rng.uniform(-2, 2, (count, 7)), joints_measured=rng.uniform(-2, 2, (count, 7)),
-    )  # fmt: skip
+    joints = (map(tuple, rng.uniform(-2, 2, (count, 7)).tolist()) for _ in range(2))
+    states = zip(poses(rng, count), poses(rng, count), *joints, strict=True)
+    return [
+        ActionContext(pose_commanded=a, pose_measured=b, joints_commanded=c, joints_measured=d) for a, b, c, d in states
+    ]
 
 
 def actions(rng, convention, count):
@@ -76,11 +76,12 @@ def test_actions_come_back(name, seed, count):
     if convention.action.delta_base == "measured" and not convention.semantics.control.is_joint_space:
         # deltas to the measured pose must stay inside what the convention can say: keep the arm near its command
         lag = Rotation.from_rotvec(rng.uniform(-0.005, 0.005, (count, 3)))
-        measured = PoseRows(
-            positions=states.commanded.positions + rng.uniform(-0.005, 0.005, (count, 3)),
-            rotations=lag * states.commanded.rotations,
-        )
-        states = ArmTrack(commanded=states.commanded, measured=measured)
+        shift = rng.uniform(-0.005, 0.005, (count, 3))
+        commanded = [state.pose_commanded for state in states]
+        states = [
+            ActionContext(pose_commanded=pose, pose_measured=Pose.from_arrays(pose.position + by, turn * pose.rotation))
+            for pose, by, turn in zip(commanded, shift, lag, strict=True)
+        ]
     given_actions = actions(rng, convention, count) * ([1] * 3 + [0.9] * 3 + [1] if name in END_EFFECTOR else [1] * 8)
     raw = from_actions(convention, given_actions, states)
     assert raw.shape == (count, convention.action.raw_size)
@@ -95,7 +96,7 @@ def test_a_chunk_from_one_state_comes_back_unless_its_deltas_need_later_measurem
     convention = load_convention(name)
     rng = np.random.default_rng(1)
     given_actions = actions(rng, convention, 4) * [1, 1, 1, 0.5, 0.5, 0.5, 1]
-    first = ActionContext(pose_commanded=poses(rng, 1).pose(0))
+    first = ActionContext(pose_commanded=poses(rng, 1)[0])
     if convention.action.delta_base == "measured":
         with pytest.raises(InvalidRequestError, match="measured"):
             from_actions(convention, given_actions, first)
@@ -110,23 +111,27 @@ def test_end_effector_actions_become_joint_actions_that_reach_the_same_poses(nam
     home = np.array(panda().model.home)
     rng = np.random.default_rng(2)
     joints = home + rng.uniform(-0.2, 0.2, (5, 7))
-    commanded = PoseRows.of([panda().fk(row) for row in joints])
     source = ActionSemantics(rate_hz=convention.rate_hz)
     given_actions = np.column_stack([rng.uniform(-0.02, 0.02, (5, 6)), [1, 1, 0, 0, 1]])
-    states = ArmTrack(
-        commanded=commanded, measured=commanded, joints_commanded=joints, joints_measured=joints, kinematics=panda()
-    )
+    states = [
+        ActionContext(
+            pose_commanded=panda().fk(row), pose_measured=panda().fk(row), joints_commanded=tuple(row),
+            joints_measured=tuple(row), kinematics=panda(),
+        )
+        for row in joints
+    ]  # fmt: skip
     raw = from_actions(convention, given_actions, states, source=source)
     executed = to_actions(convention, raw, states)
-    wanted = target_rows(given_actions, source, states).poses
+    wanted = [target_of(row, source, state).pose for row, state in zip(given_actions, states, strict=True)]
     reached = convert_rows(
         executed,
         convention.semantics,
         ActionSemantics(control="end_effector_absolute", rotation="quaternion_xyzw", rate_hz=convention.rate_hz),
         states,
     )
-    np.testing.assert_allclose(reached[:, :3], wanted.positions, atol=1e-6)
-    assert (Rotation.from_quat(reached[:, 3:7]) * wanted.rotations.inv()).magnitude().max() < 1e-5
+    np.testing.assert_allclose(reached[:, :3], [pose.position for pose in wanted], atol=1e-6)
+    turns = Rotation.from_quat([pose.quat_xyzw for pose in wanted])
+    assert (Rotation.from_quat(reached[:, 3:7]) * turns.inv()).magnitude().max() < 1e-5
 
 
 def test_recorded_joints_are_used_instead_of_inverse_kinematics():
@@ -134,13 +139,15 @@ def test_recorded_joints_are_used_instead_of_inverse_kinematics():
     convention = load_convention("droid_position")
     rng = np.random.default_rng(3)
     joints, after = panda().model.home + rng.uniform(-0.3, 0.3, (3, 7)), rng.uniform(-1, 1, (3, 7))
-    commanded = PoseRows.of([panda().fk(row) for row in joints])
     source = ActionSemantics(rate_hz=15)
-    states = ArmTrack(commanded=commanded, joints_commanded=joints, joints_after=after)
+    states = [
+        ActionContext(pose_commanded=panda().fk(row), joints_commanded=tuple(row), joints_after=tuple(then))
+        for row, then in zip(joints, after, strict=True)
+    ]
     raw = from_actions(convention, np.zeros((3, 7)), states, source=source)
     np.testing.assert_array_equal(raw[:, :7], after)
-    after[1] = np.nan  # an action that noise replaced: its joints are searched, here those that it stays at
-    states = ArmTrack(commanded=commanded, joints_commanded=joints, joints_after=after, kinematics=panda())
+    # an action that noise replaced: its joints are searched, here those that it stays at
+    states[1] = replace(states[1], joints_after=None, kinematics=panda())
     raw = from_actions(convention, np.zeros((3, 7)), states, source=source)
     np.testing.assert_array_equal(raw[[0, 2], :7], after[[0, 2]])
     np.testing.assert_allclose(raw[1, :7], joints[1], atol=1e-5)
@@ -199,7 +206,7 @@ def test_own_conventions_come_back(tmp_path, control, frame, rotation, axes):
 
 
 @pytest.mark.parametrize("control", ["end_effector_delta", "end_effector_absolute", "joint_delta", "joint_velocity"])
-def test_rows_equal_the_transform_of_single_actions(control):
+def test_actions_of_an_episode_come_back_each_with_the_state_before_it(control):
     rng = np.random.default_rng(6)
     states = track(rng, 8)
     for base in ("commanded", "measured"):
@@ -207,12 +214,10 @@ def test_rows_equal_the_transform_of_single_actions(control):
         start = ActionSemantics(control="joint_position" if "joint" in control else "end_effector_absolute")
         rows = rng.uniform(-1, 1, (8, 8 if "joint" in control else 7))
         converted = convert_rows(rows, start, semantics, states)
-        transform = ActionTransform.between(start, semantics)
-        one_by_one = [transform.apply(row, states.context(k)) for k, row in enumerate(rows)]
-        np.testing.assert_allclose(converted, one_by_one, atol=1e-12)
-        np.testing.assert_allclose(
-            action_rows(target_rows(converted, semantics, states), semantics, states), converted, atol=1e-9
-        )
+        back = convert_rows(convert_rows(converted, semantics, start, states), start, semantics, states)
+        np.testing.assert_allclose(back, converted, atol=1e-9)
+    with pytest.raises(InvalidRequestError, match="8 actions need the state before each, got 7"):
+        convert_rows(rows, start, semantics, states[:7])
 
 
 def test_the_switch_goes_on_over_the_chunks_of_an_episode():

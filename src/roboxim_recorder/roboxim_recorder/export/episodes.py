@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.actions import ActionSemantics, ControlMode
-from roboxim_core.actions.rows import ArmTrack, convert_rows
+from roboxim_core.actions import ActionContext, ActionSemantics, ControlMode
+from roboxim_core.actions.transforms import convert_rows
 from roboxim_core.config import to_json
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_core.proprioception import STATE_FIELDS, Proprioception, ProprioField, component_names
 from roboxim_core.rotation.representations import RotationRepresentation
-from roboxim_core.state import StateRecord
 from roboxim_datasets.episode import Episode, Floats, ImageSize, MetaValue, Step, Wanted
 from roboxim_recorder.bag import BagReader, BagTick
 from roboxim_recorder.export.content import Content
@@ -86,17 +85,17 @@ def exported_episode(source: Source, content: Content) -> Episode:
     description = content.describe((source,))
 
     def read(wanted: Wanted) -> Iterator[Step]:
-        actions = _converted(source, content) if content.converts else None
+        converted = _converted(source, content) if content.converts else None
         for index, (observed, following) in enumerate(_actions_of(source, wanted)):
             at, rest = divmod(index, content.every)
             if rest:
                 continue
             measured = Proprioception.of(observed.state, source.info.scene.robot.pose)
-            if actions is None:
+            if converted is None:
                 label = _snapped(np.array(following.step.action_label), content.recorded).astype(np.float32)
                 executed = np.array(following.step.action_executed, np.float32)
             else:
-                label, executed = actions.labels[at], actions.executed[at]
+                label, executed = (rows[at] for rows in converted)
             yield Step(
                 index=at,
                 images={camera: content.picture(camera, observed.images[camera]) for camera in wanted.cameras},
@@ -170,63 +169,38 @@ def _actions_of(source: Source, wanted: Wanted) -> Iterator[tuple[BagTick, BagTi
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Actions:
-    """Exported actions of an episode, float32, shape (T, D)."""
-
-    labels: Floats
-    executed: Floats
-
-
-def _converted(source: Source, content: Content) -> _Actions:
-    """Return the actions of a bag in the exported meaning."""
+def _converted(source: Source, content: Content) -> tuple[Floats, Floats]:
+    """Return the labels and the executed actions of all exported steps, converted to the dataset's meaning."""
     pairs = list(_actions_of(source, Wanted()))
     count, every = len(pairs), content.every
     first = np.arange(0, count, every)
     last = np.minimum(first + every, count) - 1
-    states = [observed.state for observed, _ in pairs]
     labels, executed = (
         np.array([getattr(following.step, name) for _, following in pairs], np.float32)
         for name in ("action_label", "action_executed")
     )
-    after = np.array([following.state.robot.joint_commands for _, following in pairs], float)
-    unknown = np.where((labels == executed).all(axis=1)[:, None], after, np.nan)  # noise replaced the label there
-    tracks = _Tracks(states, first, last, source, content)
-    label_rows = _snapped(tracks.convert(_snapped(labels, content.recorded), unknown), content.actions)
-    executed_rows = tracks.convert(executed.astype(float), after)
+    base = source.info.scene.robot.pose
+    track = [ActionContext.of(observed.state, base, content.kinematics) for observed, _ in pairs]
+    after = [replace(c, joints_after=f.state.robot.joint_commands) for c, (_, f) in zip(track, pairs, strict=True)]
+    same = (labels == executed).all(axis=1)  # elsewhere noise replaced the label, and its joints are not known
+    known = [found if kept else context for found, context, kept in zip(after, track, same, strict=True)]
+
+    def convert(rows: Rows, states: Sequence[ActionContext]) -> Rows:
+        """Convert recorded actions: the target of the last tick of a step, relative to the state before its first."""
+        recorded, wanted, ends = content.recorded, content.actions, [states[i] for i in last]
+        if every == 1:
+            return convert_rows(rows, recorded, wanted, ends)
+        target = _absolute(wanted)
+        targets = convert_rows(rows[last], recorded, replace(target, rate_hz=recorded.rate_hz), ends)
+        return convert_rows(targets, target, wanted, [track[i] for i in first])
+
+    label_rows = _snapped(convert(_snapped(labels, content.recorded), known), content.actions)
+    executed_rows = convert(executed.astype(float), after)
     if content.named:
         action, frames = content.convention.action, content.convention.frames
         plain = replace(action, normalisation=None)  # trainers normalise by the dataset's own statistics
         label_rows, executed_rows = (plain.encode(rows, frames) for rows in (label_rows, executed_rows))
-    return _Actions(labels=label_rows.astype(np.float32), executed=executed_rows.astype(np.float32))
-
-
-class _Tracks:
-    """State of the arm at the first and at the last tick of each exported step."""
-
-    def __init__(
-        self, states: Sequence[StateRecord], first: npt.NDArray[np.int64], last: npt.NDArray[np.int64],
-        source: Source, content: Content,
-    ) -> None:  # fmt: skip
-        base = source.info.scene.robot.pose
-        self._content, self._last = content, last
-        self._first_track = ArmTrack.of([states[i] for i in first], base, content.kinematics)
-        self._last_track = ArmTrack.of([states[i] for i in last], base, content.kinematics)
-
-    def convert(self, rows: Rows, joints_after: Rows) -> Rows:
-        """Convert recorded actions: the target of the last tick of a step, relative to the state before its first.
-
-        Args:
-            rows: Recorded actions of all ticks.
-            joints_after: Commanded joints after each tick; NaN where they are not those that the action commands.
-        """
-        recorded, wanted = self._content.recorded, self._content.actions
-        track = replace(self._last_track, joints_after=joints_after[self._last])
-        if self._content.every == 1:
-            return convert_rows(rows[self._last], recorded, wanted, track)
-        target = _absolute(wanted)
-        targets = convert_rows(rows[self._last], recorded, replace(target, rate_hz=recorded.rate_hz), track)
-        return convert_rows(targets, target, wanted, self._first_track)
+    return label_rows.astype(np.float32), executed_rows.astype(np.float32)
 
 
 def _absolute(semantics: ActionSemantics) -> ActionSemantics:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from roboxim_bringup.core_graph import CoreGraph
-from roboxim_core.actions.rows import ArmTrack
+from roboxim_core.actions import ActionContext
 from roboxim_core.episode import EpisodeResult, EpisodeRunner, RunConfig
 from roboxim_core.errors import EvaluationError
 from roboxim_core.kinematics import ArmKinematics
@@ -36,7 +36,7 @@ class ExpertEpisode:
     """State before each action."""
     actions: Floats
     """Executed actions of RoboXim's default meaning, shape (n, 7)."""
-    track: ArmTrack
+    track: Sequence[ActionContext]
     """State of the arm before each action, with the robot's kinematics."""
     rate_hz: float
     """Control rate [Hz]."""
@@ -145,7 +145,8 @@ class _Watched:
         return ExpertEpisode(
             result=result, instruction=instruction, states=states,
             observations=[self._observations[state.seq] for state in states],
-            actions=np.stack(self._actions[:count]), track=ArmTrack.of(states, robot.pose, kinematics),
+            actions=np.stack(self._actions[:count]),
+            track=[ActionContext.of(state, robot.pose, kinematics) for state in states],
             rate_hz=self._scene.control_rate_hz, scene=self._scene,
         )  # fmt: skip
 
