@@ -32,6 +32,8 @@ KEPT_TEXTURES = 24
 def create_context() -> moderngl.Context:
     """Create a GL context without a window: on a GPU if one works, otherwise in software.
 
+    Call its `gc` now and then: it frees the buffers, textures and programs that nobody refers to any more.
+
     The environment variable ``GLCONTEXT_DEVICE_INDEX`` selects an EGL device by index.
 
     Raises:
@@ -44,6 +46,7 @@ def create_context() -> moderngl.Context:
         options: Any = {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1", "device_index": index}
         try:
             context = moderngl.create_context(require=330, standalone=True, **options)
+            context.gc_mode = "context_gc"
         except Exception as error:  # moderngl and its loader raise plain Exception, also beyond the last device
             problem = problem or error
             continue
@@ -138,7 +141,6 @@ class Buffer:
             self.depth.repeat_x = self.depth.repeat_y = False
         elif depth:
             attachment = context.depth_renderbuffer(size)
-        self._depth_attachment = attachment
         self.fbo = context.framebuffer(self.colors, attachment)
 
     def read(self, attachment: int, components: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
@@ -146,12 +148,6 @@ class Buffer:
         kind = np.dtype(dtype)
         raw = self.fbo.read(components=components, attachment=attachment, dtype=f"f{kind.itemsize}", alignment=1)
         return np.frombuffer(raw, kind).reshape(self.size[1], self.size[0], components)
-
-    def release(self) -> None:
-        """Free it."""
-        for item in (self.fbo, *self.colors, self._depth_attachment):
-            if item is not None:
-                item.release()
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,14 +185,6 @@ class GpuWorld:
         chosen = np.concatenate([self.packed.indices[each.start : each.stop] for each in ranges])
         self._chosen.write(chosen)
         bound.chosen.render(vertices=len(chosen))
-
-    def release(self) -> None:
-        """Free it."""
-        for bound in self._bound.values():
-            bound.whole.release()
-            bound.chosen.release()
-        for buffer in (self._vertices, self._indices, self._chosen):
-            buffer.release()
 
     def _vertex_arrays(self, shader: Shader) -> _Bound:
         """Return the vertex arrays of a shader, created once; attributes that it does not read are skipped."""
@@ -239,16 +227,9 @@ class TextureStore:
         if self._array is not None:
             self._array.use(unit)
 
-    def release(self) -> None:
-        """Free it."""
-        if self._array is not None:
-            self._array.release()
-        self._array, self.names = None, ()
-
     def _upload(self, names: tuple[str, ...]) -> None:
         """Rebuild the array with mipmaps; it has four channels, because three are slower to read."""
         images = [textures.pixels(name) for name in names if name]
-        self.release()
         size = textures.SIZE
         self._array = self._context.texture_array((size, size, max(len(images), 1)), 4)
         padded = np.full((size, size, 4), 255, np.uint8)

@@ -61,13 +61,6 @@ class OcclusionBaker:
             self._known[meshes[0]] = known = others, self._bake(meshes, seen)
         return known[1]
 
-    def release(self) -> None:
-        """Free the GL resources."""
-        if self._target:
-            self._target.release()
-        if self._shader:
-            self._shader.program.release()
-
     def _bake(self, meshes: Sequence[TriangleMesh], seen: Sequence[TriangleMesh]) -> list[npt.NDArray[np.uint8]]:
         if sum(len(mesh.faces) for mesh in meshes) > MAX_FACES:
             return [np.full(len(mesh.vertices), 255, np.uint8) for mesh in seen]
@@ -105,8 +98,6 @@ class OcclusionBaker:
         ctx.depth_func = "<="
         array.render(instances=len(self._axes))
         raw = self._target.fbo.read(attachment=-1, components=1, dtype="f4")
-        array.release()
-        vertices.release()
         return np.frombuffer(raw, np.float32).reshape(ROWS, CELL, COLUMNS, CELL)
 
 

@@ -98,10 +98,7 @@ class RasterRenderer:
                 f"{len(packed.bodies)} and {len(world.look.lights)}"
             )
         with self._context as ctx:
-            fresh = GpuWorld(ctx, packed)
-            if self._world:
-                self._world[0].release()
-            self._world = fresh, world.look
+            self._world = GpuWorld(ctx, packed), world.look
 
     def render(self, poses: Mapping[str, Pose], cameras: Cameras, *, colour: bool = True) -> dict[str, CameraImages]:
         """Draw all cameras of a tick; see `roboxim_core.vision.renderer.Renderer`.
@@ -117,6 +114,7 @@ class RasterRenderer:
         check_request(world.packed.keys, poses, cameras)
         images: dict[str, CameraImages] = {}
         with self._context as ctx:
+            ctx.gc()
             frame = Frame(world.packed, look, poses)
             self._upload(frame, cameras)
             ctx.front_face, ctx.depth_func = "cw", "<="
@@ -143,22 +141,6 @@ class RasterRenderer:
             return
         self._owner.check()
         self._owner.closed = True
-        with self._context:
-            for target in self._targets:
-                target.release()
-            for buffer in (self._cover, self._contact, *([self._shadow] if self._shadow else [])):
-                buffer.release()
-            for array in self._screens.values():
-                array.release()
-            for shader in self._shaders.values():
-                shader.program.release()
-            self._occlusion.release()
-            self._textures.release()
-            self._poses.release()
-            self._views.release()
-            self._corners.release()
-            if self._world:
-                self._world[0].release()
         self._context.release()
 
     def _upload(self, frame: Frame, cameras: Cameras) -> None:
@@ -166,7 +148,6 @@ class RasterRenderer:
         self._poses.write(frame.matrices[:, :3].astype(np.float32).tobytes())
         self._poses.bind_to_uniform_block(SAMPLERS["Poses"])
         if self._views.size < len(cameras) * VIEW_BYTES:
-            self._views.release()
             self._views = self._context.buffer(reserve=len(cameras) * VIEW_BYTES, dynamic=True)
         if cameras:
             self._views.write(b"".join(frame.view(*view).ljust(VIEW_BYTES, b"\0") for view in cameras))
@@ -177,8 +158,6 @@ class RasterRenderer:
             return
         size = frame.light.size
         if self._shadow is None or self._shadow.size[0] != size:
-            if self._shadow is not None:
-                self._shadow.release()
             self._shadow = Buffer(self._context, (size, size), depth="texture")
         shader = self._shader("SHADOW_VERTEX", "SHADOW_FRAGMENT")
         shader.set(clip_from_world=tuple(frame.light.matrix.T.ravel()))
@@ -260,9 +239,6 @@ class RasterRenderer:
                 self._targets.append(old[i])
             else:
                 self._targets.append(_Target(self._context, size, geometry))
-        for target in old:
-            if target not in self._targets:
-                target.release()
         return self._targets
 
 
@@ -276,11 +252,6 @@ class _Target:
         self.final = Buffer(context, size, [(4, "f1")])
         self.colour = context.framebuffer([self.raw.colors[0]])
         """A framebuffer with the colour of `raw` only, as the source of copies."""
-
-    def release(self) -> None:
-        self.colour.release()
-        self.raw.release()
-        self.final.release()
 
 
 def _read(camera: CameraSpec, target: _Target, *, colour: bool) -> CameraImages:
