@@ -14,6 +14,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose, distance
 from roboxim_core.specs import EntitySpec, TableSpec
 from roboxim_sim import bodies
+from roboxim_sim.bullet import BulletClient
 
 LIBRARY = ModelLibrary()
 HAND_TO_TCP_M = 0.1034
@@ -38,22 +39,19 @@ def cases() -> list[tuple[str, str, str, int]]:
 class FloatingGripper:
     """The Panda's hand and fingertips on a moving anchor, with the simulator's own finger parameters."""
 
-    def __init__(self, client: int, pose_tcp: Pose, opening_m: float) -> None:
+    def __init__(self, client: BulletClient, pose_tcp: Pose, opening_m: float) -> None:
         self.client = client
         hand = {"halfExtents": [0.031, 0.1, 0.03], "collisionFramePosition": [0.0, 0.0, 0.035]}
-        boxes = [pybullet.createCollisionShape(pybullet.GEOM_BOX, **hand, physicsClientId=client)]
+        boxes = [client.createCollisionShape(pybullet.GEOM_BOX, **hand)]
         size, (x, y, z) = TIP
         for side in (1, -1):
             boxes.append(
-                pybullet.createCollisionShape(
-                    pybullet.GEOM_BOX,
-                    halfExtents=[v / 2 for v in size],
-                    collisionFramePosition=[x, side * y, z],
-                    physicsClientId=client,
+                client.createCollisionShape(
+                    pybullet.GEOM_BOX, halfExtents=[v / 2 for v in size], collisionFramePosition=[x, side * y, z]
                 )
             )
         base = pose_tcp @ Pose(position=(0.0, 0.0, -HAND_TO_TCP_M))
-        self.id = pybullet.createMultiBody(
+        self.id = client.createMultiBody(
             2.0,
             boxes[0],
             basePosition=base.position,
@@ -68,17 +66,16 @@ class FloatingGripper:
             linkParentIndices=[0, 0],
             linkJointTypes=[pybullet.JOINT_PRISMATIC] * 2,
             linkJointAxis=[[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]],
-            physicsClientId=client,
         )
-        self.anchor = pybullet.createConstraint(
+        self.anchor = client.createConstraint(
             self.id, -1, -1, -1, pybullet.JOINT_FIXED, [0, 0, 0], [0, 0, 0], base.position,
-            childFrameOrientation=base.quat_xyzw, physicsClientId=client,
+            childFrameOrientation=base.quat_xyzw,
         )  # fmt: skip
-        pybullet.changeConstraint(self.anchor, maxForce=500.0, physicsClientId=client)
+        client.changeConstraint(self.anchor, maxForce=500.0)
         self.base = base
         for number in (0, 1):
-            pybullet.resetJointState(self.id, number, opening_m / 2, physicsClientId=client)
-            pybullet.changeDynamics(
+            client.resetJointState(self.id, number, opening_m / 2)
+            client.changeDynamics(
                 self.id,
                 number,
                 lateralFriction=bodies.FINGER_FRICTION,
@@ -88,41 +85,34 @@ class FloatingGripper:
                 contactDamping=bodies.FINGER_DAMPING,
                 jointLowerLimit=0.0,
                 jointUpperLimit=0.04,
-                physicsClientId=client,
             )
-        gear = pybullet.createConstraint(
-            self.id, 0, self.id, 1, pybullet.JOINT_GEAR, [1, 0, 0], [0, 0, 0], [0, 0, 0], physicsClientId=client
-        )
-        pybullet.changeConstraint(
-            gear, gearRatio=-1, erp=bodies.GEAR_ERP, maxForce=bodies.GEAR_FORCE_N, physicsClientId=client
-        )
+        gear = client.createConstraint(self.id, 0, self.id, 1, pybullet.JOINT_GEAR, [1, 0, 0], [0, 0, 0], [0, 0, 0])
+        client.changeConstraint(gear, gearRatio=-1, erp=bodies.GEAR_ERP, maxForce=bodies.GEAR_FORCE_N)
 
     def run(self, seconds: float, opening_m: float, way: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         start, steps = self.base, round(240 * seconds)
         for step in range(steps):
             x, y, z = np.add(start.position, np.multiply(way, (step + 1) / steps)).tolist()
             self.base = Pose(position=(x, y, z), quat_xyzw=start.quat_xyzw)
-            pybullet.changeConstraint(
-                self.anchor, self.base.position, self.base.quat_xyzw, maxForce=500.0, physicsClientId=self.client
-            )
+            self.client.changeConstraint(self.anchor, self.base.position, self.base.quat_xyzw, maxForce=500.0)
             for number in (0, 1):
-                pybullet.setJointMotorControl2(
+                self.client.setJointMotorControl2(
                     self.id, number, pybullet.POSITION_CONTROL, targetPosition=opening_m / 2, force=20.0,
-                    positionGain=bodies.FINGER_GAIN, physicsClientId=self.client,
+                    positionGain=bodies.FINGER_GAIN,
                 )  # fmt: skip
-            pybullet.stepSimulation(physicsClientId=self.client)
+            self.client.stepSimulation()
 
 
 @pytest.fixture(scope="module")
-def client() -> Iterator[int]:
-    made = pybullet.connect(pybullet.DIRECT)
+def client() -> Iterator[BulletClient]:
+    made = BulletClient()
     yield made
-    pybullet.disconnect(physicsClientId=made)
+    made.disconnect()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("object_id", "size", "name", "index"), cases())
-def test_a_grasp_holds(object_id: str, size: str, name: str, index: int, client: int) -> None:
+def test_a_grasp_holds(object_id: str, size: str, name: str, index: int, client: BulletClient) -> None:
     model = LIBRARY.object(object_id, {"size": size} if size else {})
     grasp = model.grasps[index]
     bodies.configure(client, 240.0)
@@ -134,7 +124,7 @@ def test_a_grasp_holds(object_id: str, size: str, name: str, index: int, client:
     table = next(body for body, what in names.items() if what == "table")
     for number, what in ((-1, "hand"), (0, "left finger"), (1, "right finger")):
         for body, other in ((held.id, object_id), (table, "table")):
-            near = pybullet.getClosestPoints(gripper.id, body, 0.05, linkIndexA=number, physicsClientId=client)
+            near = client.getClosestPoints(gripper.id, body, 0.05, linkIndexA=number)
             assert min((point[8] for point in near), default=1.0) > -1e-3, f"the open {what} is inside the {other}"
     gripper.run(0.5, 0.0)
     gripper.run(1.0, 0.0, (0.0, 0.0, LIFT_M))
@@ -152,7 +142,7 @@ def test_a_grasp_holds(object_id: str, size: str, name: str, index: int, client:
 @pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 1])
 @pytest.mark.parametrize("part", ["top", "middle", "bottom"])
-def test_a_handle_opens_and_closes_its_drawer(part: str, index: int, client: int) -> None:
+def test_a_handle_opens_and_closes_its_drawer(part: str, index: int, client: BulletClient) -> None:
     model = LIBRARY.object("cabinet")
     handle = next(handle for handle in model.handles if handle.name == part)
     grasp = handle.grasps[index]
@@ -164,7 +154,7 @@ def test_a_handle_opens_and_closes_its_drawer(part: str, index: int, client: int
     table = next(body for body, what in names.items() if what == "table")
     for number in (-1, 0, 1):
         for body in (cabinet.id, table):
-            near = pybullet.getClosestPoints(gripper.id, body, 0.05, linkIndexA=number, physicsClientId=client)
+            near = client.getClosestPoints(gripper.id, body, 0.05, linkIndexA=number)
             assert min((point[8] for point in near), default=1.0) > -1e-3, "the open gripper is inside something"
     out = (pose.rotation * handle.pose.rotation).apply([0.13, 0.0, 0.0])
     gripper.run(0.4, 0.0)

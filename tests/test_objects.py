@@ -18,6 +18,7 @@ from roboxim_core.poses import Array, Pose, distance
 from roboxim_core.specs import EntitySpec, TableSpec
 from roboxim_core.textures import TEXTURES
 from roboxim_sim.bodies import ObjectBody, build_table, configure
+from roboxim_sim.bullet import BulletClient
 from roboxim_sim.rendering import textures  # registers the room's
 
 LIBRARY = ModelLibrary()
@@ -29,10 +30,10 @@ each_object = pytest.mark.parametrize("object_id", LIBRARY.object_ids)
 
 
 @pytest.fixture(scope="module")
-def client() -> Iterator[int]:
-    made = pybullet.connect(pybullet.DIRECT)
+def client() -> Iterator[BulletClient]:
+    made = BulletClient()
     yield made
-    pybullet.disconnect(physicsClientId=made)
+    made.disconnect()
 
 
 def collision_points(model: ObjectModel) -> Array:
@@ -90,7 +91,7 @@ def test_faces_and_normals_agree(object_id: str) -> None:
 
 
 @each_object
-def test_an_object_rests_at_its_rest_height(object_id: str, client: int) -> None:
+def test_an_object_rests_at_its_rest_height(object_id: str, client: BulletClient) -> None:
     model = LIBRARY.object(object_id)
     assert all(link.mass > 0 for link in model.links)
     for start in (Pose(position=(0.0, 0.0, model.rest_height)), *model.toppled):
@@ -99,11 +100,11 @@ def test_an_object_rests_at_its_rest_height(object_id: str, client: int) -> None
         build_table(client, TableSpec())
         body = ObjectBody(client, model, EntitySpec(name="it", model=object_id, pose=pose))
         if pose.quat_xyzw == Pose().quat_xyzw:
-            boxes = [pybullet.getAABB(body.id, link, physicsClientId=client) for link in range(-1, len(model.joints))]
+            boxes = [client.getAABB(body.id, link) for link in range(-1, len(model.joints))]
             extents = np.ptp(np.array(boxes).reshape(-1, 3) - pose.position, axis=0)
             assert np.all(extents > np.ptp(collision_points(model), axis=0) - 4e-3), "PyBullet has left shapes out"
         for _ in range(240):
-            pybullet.stepSimulation(physicsClientId=client)
+            client.stepSimulation()
         joints = body.read_joints()[0]
         state, _ = body.read(joints, joints)
         moved, turned = distance(pose, state.pose)
@@ -144,7 +145,7 @@ def test_regions_handles_and_press_points_are_on_the_object(object_id: str) -> N
 
 
 @pytest.mark.parametrize("object_id", ["bowl", "mug", "tray", "cabinet"])
-def test_a_small_ball_falls_into_a_container(object_id: str, client: int) -> None:
+def test_a_small_ball_falls_into_a_container(object_id: str, client: BulletClient) -> None:
     model = LIBRARY.object(object_id)
     region = next(region for region in model.regions if region.kind == "interior")
     joints = {joint.name: joint.upper for joint in model.joints}
@@ -156,19 +157,19 @@ def test_a_small_ball_falls_into_a_container(object_id: str, client: int) -> Non
     ObjectBody(
         client, model, EntitySpec(name="it", model=object_id, pose=base, joint_positions=joints, fixed=bool(joints))
     )
-    ball = pybullet.createMultiBody(
+    ball = client.createMultiBody(
         0.02,
-        pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.01, physicsClientId=client),
+        client.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.01),
         basePosition=np.add(floor.position, (0.0, 0.0, region.size[2] + 0.02)),
         physicsClientId=client,
     )
     for _ in range(360):
-        pybullet.stepSimulation(physicsClientId=client)
-    height = pybullet.getBasePositionAndOrientation(ball, physicsClientId=client)[0][2] - floor.position[2]
+        client.stepSimulation()
+    height = client.getBasePositionAndOrientation(ball)[0][2] - floor.position[2]
     assert height == pytest.approx(0.01, abs=0.003), "a hull has closed the cavity"
 
 
-def test_a_button_gives_way_and_comes_back(client: int) -> None:
+def test_a_button_gives_way_and_comes_back(client: BulletClient) -> None:
     model = LIBRARY.object("button")
     point, joint = model.press_points[0], model.joints[0]
     configure(client, 240.0)
@@ -179,8 +180,8 @@ def test_a_button_gives_way_and_comes_back(client: int) -> None:
     highest = 0.0
     for step in range(300):
         if step < 120:
-            pybullet.applyExternalForce(body.id, 0, [0, 0, -6.0], [0, 0, 0], pybullet.LINK_FRAME, client)
-        pybullet.stepSimulation(physicsClientId=client)
+            client.applyExternalForce(body.id, 0, [0, 0, -6.0], [0, 0, 0], pybullet.LINK_FRAME)
+        client.stepSimulation()
         highest = max(highest, body.read_joints()[0][0])
     assert point.pressed_at < highest < joint.upper + 5e-3  # a limit of PyBullet gives way a little
     assert body.read_joints()[0][0] < 1e-3

@@ -8,7 +8,6 @@
 import time
 
 import numpy as np
-import pybullet
 from benchmarks._harness import Bench
 
 from roboxim_core.models.library import ModelLibrary
@@ -33,7 +32,7 @@ def main() -> None:
 
         def bare() -> None:
             for _ in range(steps):
-                pybullet.stepSimulation(physicsClientId=client)
+                client.stepSimulation()
 
         def observed() -> None:
             world.physics.begin_tick()

@@ -22,7 +22,7 @@ from roboxim_core.models.visuals import FLOOR_Z
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import EntitySpec, RobotSpec, TableSpec
 from roboxim_core.state import EntityState
-from roboxim_sim.bullet import pybullet
+from roboxim_sim.bullet import BulletClient, pybullet
 
 if TYPE_CHECKING:
     import trimesh
@@ -45,24 +45,21 @@ _FILTER_OF_LINKS = (1, -1)
 """Group and mask that PyBullet gives the moving links of a URDF."""
 
 
-def configure(client: int, rate_hz: float) -> None:
+def configure(client: BulletClient, rate_hz: float) -> None:
     """Empty the world and set the physics parameters.
 
     Args:
-        client: PyBullet client id.
+        client: PyBullet client.
         rate_hz: Physics steps per second.
     """
-    pybullet.resetSimulation(physicsClientId=client)
-    pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
-    pybullet.setPhysicsEngineParameter(
-        fixedTimeStep=1.0 / rate_hz,
-        numSolverIterations=SOLVER_ITERATIONS,
-        deterministicOverlappingPairs=1,
-        physicsClientId=client,
+    client.resetSimulation()
+    client.setGravity(0.0, 0.0, -9.81)
+    client.setPhysicsEngineParameter(
+        fixedTimeStep=1.0 / rate_hz, numSolverIterations=SOLVER_ITERATIONS, deterministicOverlappingPairs=1
     )
 
 
-def build_table(client: int, table: TableSpec) -> dict[int, str]:
+def build_table(client: BulletClient, table: TableSpec) -> dict[int, str]:
     """Build the table and the floor.
 
     Returns:
@@ -70,25 +67,23 @@ def build_table(client: int, table: TableSpec) -> dict[int, str]:
     """
     x, y, z = table.center
     wide, deep, thick = table.size
-    shape = pybullet.createCollisionShape(
-        pybullet.GEOM_BOX, halfExtents=[wide / 2, deep / 2, thick / 2], physicsClientId=client
-    )
-    top = pybullet.createMultiBody(0.0, shape, basePosition=[x, y, z - thick / 2], physicsClientId=client)
-    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-    floor = pybullet.createMultiBody(0.0, plane, basePosition=[0.0, 0.0, FLOOR_Z], physicsClientId=client)
+    shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[wide / 2, deep / 2, thick / 2])
+    top = client.createMultiBody(0.0, shape, basePosition=[x, y, z - thick / 2])
+    plane = client.createCollisionShape(pybullet.GEOM_PLANE)
+    floor = client.createMultiBody(0.0, plane, basePosition=[0.0, 0.0, FLOOR_Z])
     for body in (top, floor):
-        pybullet.changeDynamics(body, -1, lateralFriction=table.friction, restitution=0.0, physicsClientId=client)
+        client.changeDynamics(body, -1, lateralFriction=table.friction, restitution=0.0)
     return {top: "table", floor: "floor"}
 
 
 class RobotBody:
     """The robot in PyBullet, with its motors."""
 
-    def __init__(self, client: int, model: RobotModel, spec: RobotSpec, joints: Sequence[float]) -> None:
+    def __init__(self, client: BulletClient, model: RobotModel, spec: RobotSpec, joints: Sequence[float]) -> None:
         """Load the robot at the given joint positions.
 
         Args:
-            client: PyBullet client id.
+            client: PyBullet client.
             model: The robot.
             spec: Base pose and gripper opening.
             joints: Arm joint positions [rad].
@@ -98,29 +93,28 @@ class RobotBody:
         """
         self._client, self._model = client, model
         try:
-            self.id = pybullet.loadURDF(
+            self.id = client.loadURDF(
                 str(_physics_urdf(model.urdf)),
                 spec.pose.position,
                 spec.pose.quat_xyzw,
                 useFixedBase=True,
                 flags=pybullet.URDF_IGNORE_VISUAL_SHAPES | pybullet.URDF_USE_INERTIA_FROM_FILE,
-                physicsClientId=client,
             )
         except pybullet.error as error:
             raise SimError(f"PyBullet cannot load {model.urdf}: {error}") from None
         index, self.link_names = {}, {-1: ""}
-        for number in range(pybullet.getNumJoints(self.id, physicsClientId=client)):
-            info = pybullet.getJointInfo(self.id, number, physicsClientId=client)
+        for number in range(client.getNumJoints(self.id)):
+            info = client.getJointInfo(self.id, number)
             index[info[1].decode()] = number
             self.link_names[number] = info[12].decode()
         self.arm = [index[name] for name in model.joint_names]
         self.fingers = [index[name] for name in model.gripper.joint_names]
         for number, position in zip(self.arm, joints, strict=True):
-            pybullet.resetJointState(self.id, number, position, physicsClientId=client)
+            client.resetJointState(self.id, number, position)
         for number in self.fingers:
             travel = spec.gripper_opening * model.gripper.max_opening_m / 2
-            pybullet.resetJointState(self.id, number, travel, physicsClientId=client)
-            pybullet.changeDynamics(
+            client.resetJointState(self.id, number, travel)
+            client.changeDynamics(
                 self.id,
                 number,
                 lateralFriction=FINGER_FRICTION,
@@ -128,7 +122,6 @@ class RobotBody:
                 frictionAnchor=1,
                 contactStiffness=FINGER_STIFFNESS,
                 contactDamping=FINGER_DAMPING,
-                physicsClientId=client,
             )
         self._couple_fingers()
         self._turn_of_contacts = self._finger_rotation()
@@ -138,7 +131,7 @@ class RobotBody:
 
     def drive_arm(self, positions: Sequence[float], velocities: Sequence[float]) -> None:
         """Set the arm's target positions [rad] and velocities [rad/s] for the next physics step."""
-        pybullet.setJointMotorControlArray(
+        self._client.setJointMotorControlArray(
             self.id,
             self.arm,
             pybullet.POSITION_CONTROL,
@@ -147,7 +140,6 @@ class RobotBody:
             forces=self._model.motor_force,
             positionGains=self._gains,
             velocityGains=self._damping,
-            physicsClientId=self._client,
         )
 
     def drive_gripper(self, opening: float, force_n: float | None = None) -> None:
@@ -159,14 +151,13 @@ class RobotBody:
         """
         gripper = self._model.gripper
         for number in self.fingers:
-            pybullet.setJointMotorControl2(
+            self._client.setJointMotorControl2(
                 self.id,
                 number,
                 pybullet.POSITION_CONTROL,
                 targetPosition=opening * gripper.max_opening_m / 2,
                 force=gripper.force_n if force_n is None else force_n,
                 positionGain=FINGER_GAIN,
-                physicsClientId=self._client,
             )
 
     def renew_contacts(self) -> None:
@@ -181,25 +172,23 @@ class RobotBody:
         cosine = abs(sum(a * b for a, b in zip(now, self._turn_of_contacts, strict=True)))  # of half the angle
         if cosine >= _COSINE_OF_CONTACT_TURN:
             return
-        pybullet.setCollisionFilterGroupMask(
-            self.id, self.fingers[self._next_finger], *_FILTER_OF_LINKS, physicsClientId=self._client
-        )
+        self._client.setCollisionFilterGroupMask(self.id, self.fingers[self._next_finger], *_FILTER_OF_LINKS)
         self._turn_of_contacts = now
         self._next_finger = 1 - self._next_finger
 
     def read_joints(self) -> tuple[list[float], list[float], list[float]]:
         """Return positions, velocities and last motor efforts of the joints: the arm's first, then the fingers'."""
-        states = pybullet.getJointStates(self.id, self.arm + self.fingers, physicsClientId=self._client)
+        states = self._client.getJointStates(self.id, self.arm + self.fingers)
         return [s[0] for s in states], [s[1] for s in states], [s[3] for s in states]
 
     def _finger_rotation(self) -> tuple[float, ...]:
         """Return the first finger's rotation in the world as a quaternion: the hand's, since the fingers only slide."""
-        rotation: tuple[float, ...] = pybullet.getLinkState(self.id, self.fingers[0], physicsClientId=self._client)[1]
+        rotation: tuple[float, ...] = self._client.getLinkState(self.id, self.fingers[0])[1]
         return rotation
 
     def _couple_fingers(self) -> None:
         first, second = self.fingers
-        gear = pybullet.createConstraint(
+        gear = self._client.createConstraint(
             self.id,
             first,
             self.id,
@@ -208,19 +197,18 @@ class RobotBody:
             jointAxis=[1, 0, 0],
             parentFramePosition=[0, 0, 0],
             childFramePosition=[0, 0, 0],
-            physicsClientId=self._client,
         )
-        pybullet.changeConstraint(gear, gearRatio=-1, erp=GEAR_ERP, maxForce=GEAR_FORCE_N, physicsClientId=self._client)
+        self._client.changeConstraint(gear, gearRatio=-1, erp=GEAR_ERP, maxForce=GEAR_FORCE_N)
 
 
 class ObjectBody:
     """An object in PyBullet."""
 
-    def __init__(self, client: int, model: ObjectModel, entity: EntitySpec) -> None:
+    def __init__(self, client: BulletClient, model: ObjectModel, entity: EntitySpec) -> None:
         """Build an object.
 
         Args:
-            client: PyBullet client id.
+            client: PyBullet client.
             model: The object, with its modifiers.
             entity: The object's name, pose and joint positions.
         """
@@ -236,7 +224,7 @@ class ObjectBody:
         count = len(joints)
         self._center = Pose(position=centers[0])
         start = entity.pose @ self._center if self._center != IDENTITY else entity.pose
-        self.id = pybullet.createMultiBody(
+        self.id = client.createMultiBody(
             baseMass=0.0 if entity.fixed else model.links[0].mass,
             baseCollisionShapeIndex=shapes[0],
             basePosition=entity.pose.position,
@@ -252,19 +240,17 @@ class ObjectBody:
             linkParentIndices=[order.index(joint.parent) for joint in joints],
             linkJointTypes=[kinds[joint.kind] for joint in joints],
             linkJointAxis=[joint.axis for joint in joints],
-            physicsClientId=client,
         )
-        pybullet.resetBasePositionAndOrientation(self.id, start.position, start.quat_xyzw, physicsClientId=client)
+        client.resetBasePositionAndOrientation(self.id, start.position, start.quat_xyzw)
         friction = model.friction
         for number, name in enumerate(order, -1):
-            pybullet.changeDynamics(
+            client.changeDynamics(
                 self.id,
                 number,
                 lateralFriction=friction.lateral,
                 spinningFriction=friction.spinning,
                 rollingFriction=friction.rolling if _can_roll(links[name]) else 0.0,
                 restitution=0.0,
-                physicsClientId=client,
             )
         self.joint_names = tuple(joint.name for joint in joints)
         for number, joint in enumerate(joints):
@@ -280,18 +266,16 @@ class ObjectBody:
         """Set the base pose in the world, the base velocities [m/s, rad/s] and the joint positions [m or rad]."""
         if pose is not None:
             base = pose @ self._center if self._center != IDENTITY else pose
-            pybullet.resetBasePositionAndOrientation(
-                self.id, base.position, base.quat_xyzw, physicsClientId=self._client
-            )
-            pybullet.resetBaseVelocity(self.id, linear, angular, physicsClientId=self._client)
+            self._client.resetBasePositionAndOrientation(self.id, base.position, base.quat_xyzw)
+            self._client.resetBaseVelocity(self.id, linear, angular)
         for name, position in (joint_positions or {}).items():
-            pybullet.resetJointState(self.id, self.joint_names.index(name), position, physicsClientId=self._client)
+            self._client.resetJointState(self.id, self.joint_names.index(name), position)
 
     def read_joints(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return positions [m or rad] and velocities [m/s or rad/s] of the joints."""
         if not self.joint_names:
             return (), ()
-        states = pybullet.getJointStates(self.id, range(len(self.joint_names)), physicsClientId=self._client)
+        states = self._client.getJointStates(self.id, range(len(self.joint_names)))
         return tuple(s[0] for s in states), tuple(s[1] for s in states)
 
     def read(
@@ -304,8 +288,8 @@ class ObjectBody:
             highest: Highest joint positions during the tick [m or rad].
             fastest_fall: Largest downward speed of the base during the tick [m/s].
         """
-        position, quat = pybullet.getBasePositionAndOrientation(self.id, physicsClientId=self._client)
-        linear, angular = pybullet.getBaseVelocity(self.id, physicsClientId=self._client)
+        position, quat = self._client.getBasePositionAndOrientation(self.id)
+        linear, angular = self._client.getBaseVelocity(self.id)
         pose = Pose(position=position, quat_xyzw=quat)
         if self._center != IDENTITY:
             pose = pose @ self._center.inverse()
@@ -324,34 +308,23 @@ class ObjectBody:
         return state, speeds
 
     def _prepare_joint(self, number: int, joint: JointModel, position: float) -> None:
-        pybullet.changeDynamics(
-            self.id,
-            number,
-            jointLowerLimit=joint.lower,
-            jointUpperLimit=joint.upper,
-            jointDamping=joint.damping,
-            physicsClientId=self._client,
+        self._client.changeDynamics(
+            self.id, number, jointLowerLimit=joint.lower, jointUpperLimit=joint.upper, jointDamping=joint.damping
         )
-        pybullet.resetJointState(self.id, number, position, physicsClientId=self._client)
+        self._client.resetJointState(self.id, number, position)
         # Every joint gets a motor of known force, because PyBullet's default motor resists strongly.
         if joint.spring > 0:
-            pybullet.setJointMotorControl2(
+            self._client.setJointMotorControl2(
                 self.id,
                 number,
                 pybullet.POSITION_CONTROL,
                 targetPosition=0.0,
                 force=joint.spring,
                 positionGain=SPRING_GAIN,
-                physicsClientId=self._client,
             )
         else:
-            pybullet.setJointMotorControl2(
-                self.id,
-                number,
-                pybullet.VELOCITY_CONTROL,
-                targetVelocity=0.0,
-                force=joint.resistance,
-                physicsClientId=self._client,
+            self._client.setJointMotorControl2(
+                self.id, number, pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=joint.resistance
             )
 
 
@@ -461,7 +434,7 @@ _KINDS = {
 }
 
 
-def _collision_shape(client: int, shapes: Sequence[Shape]) -> int:
+def _collision_shape(client: BulletClient, shapes: Sequence[Shape]) -> int:
     if not shapes:
         return -1
     for shape in shapes:
@@ -470,7 +443,7 @@ def _collision_shape(client: int, shapes: Sequence[Shape]) -> int:
     if len(shapes) > MAX_SHAPES:
         shapes = _with_boxes_in_a_file(shapes)
     size = [shape.size or (0.0,) for shape in shapes]
-    made = pybullet.createCollisionShapeArray(
+    made = client.createCollisionShapeArray(
         shapeTypes=[_KINDS[shape.kind] for shape in shapes],
         halfExtents=[[v / 2 for v in s] if len(s) == 3 else [0.0, 0.0, 0.0] for s in size],
         radii=[s[0] for s in size],
@@ -479,7 +452,6 @@ def _collision_shape(client: int, shapes: Sequence[Shape]) -> int:
         meshScales=[[shape.scale] * 3 for shape in shapes],
         collisionFramePositions=[shape.pose.position for shape in shapes],
         collisionFrameOrientations=[shape.pose.quat_xyzw for shape in shapes],
-        physicsClientId=client,
     )
     if made < 0:
         raise SimError(f"PyBullet cannot build the collision shapes {shapes}", ErrorCode.SIM_FAULT)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import inspect
 import os
 from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 _GREETING = b"pybullet build time"
 
@@ -29,4 +32,22 @@ def _without_greeting() -> Iterator[None]:
 with _without_greeting():
     import pybullet
 
-__all__ = ["pybullet"]
+
+class BulletClient:
+    """An in-process physics server with PyBullet's functions, bound to its id.
+
+    The class of this name in ``pybullet_utils`` looks a function up at each call, and prints a line to stdout.
+    """
+
+    def __init__(self) -> None:
+        """Connect. Without success, as beyond PyBullet's number of servers, ``isConnected`` is false."""
+        client = pybullet.connect(pybullet.DIRECT)
+        functions = {name: value for name, value in vars(pybullet).items() if inspect.isbuiltin(value)}
+        vars(self).update({name: functools.partial(f, physicsClientId=client) for name, f in functions.items()})
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+
+__all__ = ["BulletClient", "pybullet"]

@@ -15,7 +15,7 @@ from roboxim_core.models.description import ObjectModel, RobotModel
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_sim.bodies import ObjectBody, RobotBody, build_table, configure
-from roboxim_sim.bullet import pybullet
+from roboxim_sim.bullet import BulletClient
 from roboxim_sim.readout import TickObserver, hash_state, read_robot
 
 
@@ -27,14 +27,13 @@ class Physics:
 
     def __init__(self) -> None:
         """Connect."""
-        self.client = pybullet.connect(pybullet.DIRECT)
+        self.client = BulletClient()
         self.objects: list[ObjectBody] = []
 
     def close(self) -> None:
         """Disconnect. Closing twice is harmless."""
-        if self.client >= 0:
-            pybullet.disconnect(physicsClientId=self.client)
-            self.client = -1
+        if self.client.isConnected():
+            self.client.disconnect()
 
     def build(
         self, scene: SceneSpec, robot: RobotModel, joints: Sequence[float], models: Mapping[str, ObjectModel]
@@ -61,7 +60,7 @@ class Physics:
 
     def remove(self, body: ObjectBody) -> None:
         """Remove an object."""
-        pybullet.removeBody(body.id, physicsClientId=self.client)
+        self.client.removeBody(body.id)
         self.objects.remove(body)
 
     def rewatch(self) -> None:
@@ -88,7 +87,7 @@ class Physics:
         velocities = ((last - first) * (self._rate_hz / steps)).tolist()
         for target in targets:
             self.robot.drive_arm(target, velocities)
-            pybullet.stepSimulation(physicsClientId=self.client)
+            self.client.stepSimulation()
             self.robot.renew_contacts()
             self._observer.after_step()
 

@@ -9,7 +9,7 @@ from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.state import Contact, EntityState, RobotState, hash_floats
 from roboxim_sim.bodies import ObjectBody, RobotBody
-from roboxim_sim.bullet import pybullet
+from roboxim_sim.bullet import BulletClient
 
 _Pair = tuple[str, str, str, str]
 
@@ -17,11 +17,13 @@ _Pair = tuple[str, str, str, str]
 class TickObserver:
     """Accumulates contacts, falls and joint extremes over the physics steps of one tick."""
 
-    def __init__(self, client: int, robot: RobotBody, objects: Sequence[ObjectBody], fixed: Mapping[int, str]) -> None:
+    def __init__(
+        self, client: BulletClient, robot: RobotBody, objects: Sequence[ObjectBody], fixed: Mapping[int, str]
+    ) -> None:
         """Start observing.
 
         Args:
-            client: PyBullet client id.
+            client: PyBullet client.
             robot: The robot.
             objects: The objects.
             fixed: Names of the table and the floor by body id.
@@ -46,7 +48,7 @@ class TickObserver:
         """Observe one physics step."""
         last: dict[_Pair, float] = {}
         pairs, highest_force = self._pairs, self._highest_force
-        for point in pybullet.getContactPoints(physicsClientId=self._client):
+        for point in self._client.getContactPoints():
             force = point[9]
             if force > 0.0:
                 key = point[1:5]
@@ -58,7 +60,7 @@ class TickObserver:
         self._last = last
         lowest_velocity = self._lowest_velocity
         for body_id, name in self._falling:
-            velocity = pybullet.getBaseVelocity(body_id, physicsClientId=self._client)[0][2]
+            velocity = self._client.getBaseVelocity(body_id)[0][2]
             if velocity < lowest_velocity[name]:
                 lowest_velocity[name] = velocity
         for body in self._jointed:
@@ -96,7 +98,7 @@ class TickObserver:
         vectors: dict[_Pair, Vec3] = {}
         if not self._last:
             return vectors
-        for point in pybullet.getContactPoints(physicsClientId=self._client):
+        for point in self._client.getContactPoints():
             key, force = point[1:5], point[9]
             if force > 0.0:
                 pair = self._pairs[key]

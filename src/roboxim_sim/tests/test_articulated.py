@@ -49,10 +49,8 @@ def push(world: World, entity: str, link: int, force: tuple[float, float, float]
     """Push a link with a force in the world for some physics steps."""
     body = next(body for body in world.physics.objects if body.name == entity)
     for _ in range(steps):
-        at = pybullet.getLinkState(body.id, link, physicsClientId=world.physics.client)[0]
-        pybullet.applyExternalForce(
-            body.id, link, force, at, pybullet.WORLD_FRAME, physicsClientId=world.physics.client
-        )
+        at = world.physics.client.getLinkState(body.id, link)[0]
+        world.physics.client.applyExternalForce(body.id, link, force, at, pybullet.WORLD_FRAME)
         world.physics.advance(1, world.record.robot.joint_commands)
 
 

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import pybullet
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -100,18 +99,18 @@ def test_pybullet_and_pinocchio_agree_on_every_robot(world: World, robot_id: str
         ours = world.link_poses()
         for number, name in body.link_names.items():
             if number >= 0:
-                state = pybullet.getLinkState(body.id, number, computeForwardKinematics=True, physicsClientId=client)
+                state = client.getLinkState(body.id, number, computeForwardKinematics=True)
                 assert np.subtract(state[4], ours[name].position) == pytest.approx(np.zeros(3), abs=1e-6)
                 turn = Rotation.from_quat(state[5]) * ours[name].rotation.inv()
                 assert turn.magnitude() < 1e-6
         for number, lower, upper in zip(body.arm, model.limits.lower, model.limits.upper, strict=True):
-            info = pybullet.getJointInfo(body.id, number, physicsClientId=client)
+            info = client.getJointInfo(body.id, number)
             assert info[8:10] == pytest.approx((lower, upper))
         for number, effort, speed in zip(body.arm, model.limits.effort, model.limits.velocity, strict=True):
-            info = pybullet.getJointInfo(body.id, number, physicsClientId=client)
+            info = client.getJointInfo(body.id, number)
             assert info[10:12] == pytest.approx((effort, speed))
         for number in body.fingers:
-            info = pybullet.getJointInfo(body.id, number, physicsClientId=client)
+            info = client.getJointInfo(body.id, number)
             assert info[8:10] == pytest.approx((0.0, model.gripper.max_opening_m / 2))
 
 
@@ -403,7 +402,7 @@ def test_contact_points_turn_with_the_hand(world: World) -> None:
         record = move_to(world, turned, 0.0)
     closing = record.robot.pose_tcp_measured.rotation.apply([0.0, 1.0, 0.0])
     ids = world.physics.robot.id, world.physics.objects[0].id  # the record has no normals
-    points = pybullet.getContactPoints(*ids, physicsClientId=world.physics.client)
+    points = world.physics.client.getContactPoints(*ids)
     assert points
     assert min(abs(np.dot(point[7], closing)) for point in points) > 0.95
     for _ in range(3):

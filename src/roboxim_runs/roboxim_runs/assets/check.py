@@ -22,7 +22,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose, distance
 from roboxim_core.specs import EntitySpec, TableSpec
 from roboxim_sim.bodies import ObjectBody, build_table, configure
-from roboxim_sim.bullet import pybullet
+from roboxim_sim.bullet import BulletClient
 from roboxim_sim.rendering import textures  # noqa: F401  (registers the room's, which an object may use too)
 
 YAWS = (0.0, 0.4, 1.1, 2.0, 2.9, -1.0)
@@ -54,7 +54,7 @@ def check(target: str, library: ModelLibrary) -> list[Finding]:
 def _stability(model: ObjectModel) -> list[Finding]:
     """Check that an object stays at rest on a table, upright and toppled."""
     found = []
-    client = pybullet.connect(pybullet.DIRECT)
+    client = BulletClient()
     try:
         for k, start in enumerate((Pose(position=(0.0, 0.0, model.rest_height)), *model.toppled)):
             moved, turned = np.max([_motion(client, model, start, yaw) for yaw in YAWS], axis=0)
@@ -69,11 +69,11 @@ def _stability(model: ObjectModel) -> list[Finding]:
                     )
                 )
     finally:
-        pybullet.disconnect(physicsClientId=client)
+        client.disconnect()
     return found
 
 
-def _motion(client: int, model: ObjectModel, start: Pose, yaw_rad: float) -> tuple[float, float]:
+def _motion(client: BulletClient, model: ObjectModel, start: Pose, yaw_rad: float) -> tuple[float, float]:
     """Return how far an object moves [m] and turns [rad] within a second on a table, turned about the vertical."""
     turn = Pose.from_arrays((0.5, 0.0, 0.0), Rotation.from_euler("z", yaw_rad))
     pose = turn @ replace(start, position=(0.0, 0.0, start.position[2]))
@@ -81,7 +81,7 @@ def _motion(client: int, model: ObjectModel, start: Pose, yaw_rad: float) -> tup
     build_table(client, TableSpec())
     body = ObjectBody(client, model, EntitySpec(name="it", model=model.id, pose=pose))
     for _ in range(240):
-        pybullet.stepSimulation(physicsClientId=client)
+        client.stepSimulation()
     joints = body.read_joints()[0]
     return distance(pose, body.read(joints, joints)[0].pose)
 

@@ -21,7 +21,7 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import CameraSpec, LightSpec, LookSpec
 from roboxim_core.vision.renderer import CameraImages, RenderWorld, TriangleMesh, VisualPart
-from roboxim_sim.bullet import pybullet
+from roboxim_sim.bullet import BulletClient, pybullet
 from roboxim_sim.rendering import textures
 from roboxim_sim.rendering.geometry import check_mesh, check_request, textured
 from roboxim_sim.rendering.owner import Owner
@@ -50,8 +50,8 @@ class TinyRenderer:
     def __init__(self) -> None:
         """Start a separate PyBullet client."""
         self._owner = Owner()
-        self._client = pybullet.connect(pybullet.DIRECT)
-        if self._client < 0:
+        self._client = BulletClient()
+        if not self._client.isConnected():
             raise SimError("PyBullet provides no more clients; close some", ErrorCode.RENDERER_UNAVAILABLE)
         self._parts: tuple[_Part, ...] | None = None
         self._keys: tuple[str, ...] = ()
@@ -65,7 +65,7 @@ class TinyRenderer:
             SimError: When called from another thread or process, or after `close`.
         """
         self._owner.check()
-        pybullet.resetSimulation(physicsClientId=self._client)
+        self._client.resetSimulation()
         self._parts = None
         entities = {name: index + 1 for index, name in enumerate(world.entity_names)}
         parts, loaded = [], dict[str, int]()
@@ -92,9 +92,7 @@ class TinyRenderer:
         check_request(self._keys, poses, cameras)
         for part in self._parts:
             pose = poses.get(part.key, IDENTITY)
-            pybullet.resetBasePositionAndOrientation(
-                part.uid, pose.position, pose.quat_xyzw, physicsClientId=self._client
-            )
+            self._client.resetBasePositionAndOrientation(part.uid, pose.position, pose.quat_xyzw)
         return {camera.name: self._draw(camera, pose, self._parts) for camera, pose in cameras}
 
     def close(self) -> None:
@@ -102,7 +100,7 @@ class TinyRenderer:
         if not self._owner.closed:
             self._owner.check()
             self._owner.closed = True
-            pybullet.disconnect(physicsClientId=self._client)
+            self._client.disconnect()
 
     def _add(self, part: VisualPart, key: str, loaded: dict[str, int]) -> int:
         """Add a part and return its PyBullet body."""
@@ -114,25 +112,24 @@ class TinyRenderer:
                 f"body '{key}': renderer 'tiny' takes at most {MAX_VERTICES} vertices and indices a part, got "
                 f"{len(mesh.vertices)} and {mesh.faces.size}; use 'raster' or a simpler mesh"
             )
-        shape = pybullet.createVisualShape(
+        shape = self._client.createVisualShape(
             pybullet.GEOM_MESH,
             **_lists(mesh),
             rgbaColor=(*part.material.color, 1.0),
             specularColor=[0.4 * (1.0 - part.material.roughness)] * 3,
-            physicsClientId=self._client,
         )
-        uid = int(pybullet.createMultiBody(baseVisualShapeIndex=shape, physicsClientId=self._client))
+        uid = int(self._client.createMultiBody(baseVisualShapeIndex=shape))
         if name:
             if name not in loaded:
                 loaded[name] = self._load_texture(name)
-            pybullet.changeVisualShape(uid, -1, textureUniqueId=loaded[name], physicsClientId=self._client)
+            self._client.changeVisualShape(uid, -1, textureUniqueId=loaded[name])
         return uid
 
     def _load_texture(self, name: str) -> int:
         with tempfile.TemporaryDirectory(prefix="roboxim-") as folder:
             path = Path(folder) / "texture.png"
             Image.fromarray(textures.pixels(name)[::-1]).save(path)  # its v runs downwards
-            return int(pybullet.loadTexture(str(path), physicsClientId=self._client))
+            return int(self._client.loadTexture(str(path)))
 
     def _draw(self, camera: CameraSpec, pose: Pose, parts: tuple[_Part, ...]) -> CameraImages:
         near, far = camera.near, camera.far
@@ -143,13 +140,12 @@ class TinyRenderer:
         projection[8] = 1 - 2 * cx / camera.width
         projection[9] = (2 * cy + 2) / camera.height - 1
         view = OPTICAL_TO_GL @ pose.inverse().matrix
-        _, _, rgba, depth, mask = pybullet.getCameraImage(
+        _, _, rgba, depth, mask = self._client.getCameraImage(
             camera.width,
             camera.height,
             view.T.reshape(-1).tolist(),
             projection,
             renderer=pybullet.ER_TINY_RENDERER,
-            physicsClientId=self._client,
             **_light(self._look),
         )
         shape = (camera.height, camera.width)
