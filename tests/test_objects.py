@@ -161,7 +161,6 @@ def test_a_small_ball_falls_into_a_container(object_id: str, client: BulletClien
         0.02,
         client.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.01),
         basePosition=np.add(floor.position, (0.0, 0.0, region.size[2] + 0.02)),
-        physicsClientId=client,
     )
     for _ in range(360):
         client.stepSimulation()
