@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from roboxim_eval.benchmark import check_benchmark_card
-from roboxim_eval.benchmark.card import is_benchmark_card
+from roboxim_eval.benchmark.card import check_benchmark_card, is_benchmark_card
 from roboxim_eval.experiments.card_checks import check_card
 from roboxim_eval.report.markdown import benchmark_markdown, experiment_markdown
 from roboxim_runs.experiments.benchmark import benchmark_warnings

@@ -30,7 +30,7 @@ from roboxim_core.episode import ActorPort, EpisodeRunner, Ports, RunConfig, Sim
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
-from roboxim_eval.statistics import success_rate
+from roboxim_eval.statistics.rates import success_rate
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_tasks.config import merged
 from roboxim_tasks.demonstration.expert import Expert

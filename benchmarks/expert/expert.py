@@ -23,7 +23,7 @@ from benchmarks.expert._cells import Cell, cells
 from benchmarks.expert._kept import Kept
 from tqdm import tqdm
 
-from roboxim_eval.statistics import success_rate
+from roboxim_eval.statistics.rates import success_rate
 from roboxim_runs.executors import Job, LocalExecutor, Lost, Note, Work
 from roboxim_tasks.task_config import VisibleConfig
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from roboxim_eval.benchmark import BenchmarkCard, concluded_benchmark
+from roboxim_eval.benchmark.card import BenchmarkCard, concluded_benchmark
 from roboxim_eval.experiments.card import Attestation, Card, CardEvaluation, CardExperiment, CardTraining
 from roboxim_eval.experiments.card_checks import analysis_of, attestation_warnings, concluded
 from roboxim_eval.statistics.paired import Pairs, paired_difference

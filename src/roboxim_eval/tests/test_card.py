@@ -7,15 +7,8 @@ import pytest
 
 from roboxim_core.config import load_yaml, named_config
 from roboxim_core.errors import ConfigError
-from roboxim_eval.benchmark import (
-    BenchmarkCard,
-    benchmark_config,
-    check_benchmark_card,
-    concluded_benchmark,
-    points_text,
-    rate_text,
-)
-from roboxim_eval.benchmark.config import Reference, ReferenceScore
+from roboxim_eval.benchmark.card import BenchmarkCard, check_benchmark_card, concluded_benchmark, points_text, rate_text
+from roboxim_eval.benchmark.config import Reference, ReferenceScore, benchmark_config
 from roboxim_eval.experiments.card import sha256_of
 from roboxim_eval.experiments.card_checks import check_card
 from roboxim_eval.experiments.card_schema import CARDS, schema_file, schema_of, schema_text

@@ -9,7 +9,8 @@ import pytest
 
 from roboxim_core.config import digest, from_plain, parse_yaml, to_plain
 from roboxim_core.errors import ConfigError
-from roboxim_eval.benchmark import benchmark_config, benchmark_scores
+from roboxim_eval.benchmark.config import benchmark_config
+from roboxim_eval.benchmark.scores import benchmark_scores
 from roboxim_eval.experiments import (
     ExperimentConfig,
     Outcomes,

@@ -8,8 +8,8 @@ import pytest
 from scipy.stats import binom, binomtest
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_eval.statistics import success_rate
 from roboxim_eval.statistics.paired import Pairs, independent_difference, paired_difference
+from roboxim_eval.statistics.rates import success_rate
 from roboxim_eval.statistics.sequential import SequentialPlan, sequential_test
 
 

@@ -22,8 +22,9 @@ from roboxim_eval.report.evaluation import comparisons
 from roboxim_eval.report.experiment import ExperimentPage, experiment_page
 from roboxim_eval.report.films import chosen_films, film_strip
 from roboxim_eval.report.reasons import EXPLANATIONS, explained
-from roboxim_eval.statistics import error_line, factors, failure_reasons, is_measured, rate_of, success_rate
+from roboxim_eval.statistics import factors
 from roboxim_eval.statistics.factors import Trial, factor_effects
+from roboxim_eval.statistics.rates import error_line, failure_reasons, is_measured, rate_of, success_rate
 from roboxim_eval.testing import planted_card, shipped
 
 

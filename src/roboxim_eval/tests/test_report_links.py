@@ -14,7 +14,7 @@ import pytest
 
 import roboxim_eval
 from roboxim_core.episode import EpisodeResult
-from roboxim_eval.benchmark import BenchmarkCard, concluded_benchmark
+from roboxim_eval.benchmark.card import BenchmarkCard, concluded_benchmark
 from roboxim_eval.experiments.models import compare_models
 from roboxim_eval.report import PolicyRun, Report, write_report
 from roboxim_eval.report.benchmark import benchmark_page

@@ -6,8 +6,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from roboxim_eval.benchmark import BenchmarkCard, dimension_sentence, percent_text, points_text, rate_text
-from roboxim_eval.benchmark.card import Bounds, OpenBounds
+from roboxim_eval.benchmark.card import (
+    BenchmarkCard,
+    Bounds,
+    OpenBounds,
+    dimension_sentence,
+    percent_text,
+    points_text,
+    rate_text,
+)
 from roboxim_eval.benchmark.config import Reference, ReferenceScore
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card

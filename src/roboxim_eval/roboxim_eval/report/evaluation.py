@@ -37,7 +37,9 @@ from roboxim_eval.report.parts import (
     map_view,
     scenes_view,
 )
-from roboxim_eval.statistics import (
+from roboxim_eval.statistics.multiple import holm
+from roboxim_eval.statistics.paired import Pairs, paired_difference
+from roboxim_eval.statistics.rates import (
     SuccessRate,
     error_line,
     error_reasons,
@@ -46,8 +48,6 @@ from roboxim_eval.statistics import (
     rate_of,
     rates_by,
 )
-from roboxim_eval.statistics.multiple import holm
-from roboxim_eval.statistics.paired import Pairs, paired_difference
 from roboxim_eval.statistics.tables import Count
 from roboxim_eval.statistics.verdicts import MARGIN, Verdict, checkpoint_verdict
 

@@ -9,25 +9,3 @@ Modules by subject: `rates` (one policy), `paired` (two policies), `replicates` 
 (held-out cells), `verdicts` (sentences), `multiple` (several comparisons), `sequential` (stopping early), `power`
 (planning).
 """
-
-from roboxim_eval.statistics.rates import (
-    SuccessRate,
-    error_line,
-    error_reasons,
-    failure_reasons,
-    is_measured,
-    rate_of,
-    rates_by,
-    success_rate,
-)
-
-__all__ = [
-    "SuccessRate",
-    "error_line",
-    "error_reasons",
-    "failure_reasons",
-    "is_measured",
-    "rate_of",
-    "rates_by",
-    "success_rate",
-]

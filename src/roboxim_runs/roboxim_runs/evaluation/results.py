@@ -14,7 +14,7 @@ from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
 
 if TYPE_CHECKING:
-    from roboxim_eval.statistics import SuccessRate
+    from roboxim_eval.statistics.rates import SuccessRate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,14 +31,14 @@ class PolicyResult:
     @property
     def measured(self) -> bool:
         """Whether the results measure the policy; false when most episodes ended in errors."""
-        from roboxim_eval.statistics import is_measured
+        from roboxim_eval.statistics.rates import is_measured
 
         return is_measured(self.results)
 
     @property
     def rate(self) -> SuccessRate:
         """Success rate with its interval; an error counts as a failure."""
-        from roboxim_eval.statistics import rate_of
+        from roboxim_eval.statistics.rates import rate_of
 
         return rate_of(self.results)
 
@@ -119,7 +119,7 @@ class EvaluationResult:
 
 def rate_line(results: Sequence[EpisodeResult]) -> str:
     """Return a policy's success rate with its interval, and its errors; only the errors when they are most episodes."""
-    from roboxim_eval.statistics import error_line, is_measured, rate_of
+    from roboxim_eval.statistics.rates import error_line, is_measured, rate_of
 
     errors = error_line(results)
     if not is_measured(results):

@@ -13,13 +13,8 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.documents import parse_json, read_text
 from roboxim_core.whole_files import write_whole
-from roboxim_eval.benchmark import (
-    BenchmarkCard,
-    BenchmarkConfig,
-    check_benchmark_card,
-    concluded_benchmark,
-    experiment_changes,
-)
+from roboxim_eval.benchmark.card import BenchmarkCard, check_benchmark_card, concluded_benchmark
+from roboxim_eval.benchmark.config import BenchmarkConfig, experiment_changes
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.reductions import deciding
 from roboxim_runs.events import OnEvent, ignore

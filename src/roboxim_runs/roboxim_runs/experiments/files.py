@@ -17,7 +17,7 @@ from roboxim_core.config import load_yaml, located, named_config, to_plain
 from roboxim_core.config_folders import config_names, is_path
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.merging import merged
-from roboxim_eval.benchmark import BenchmarkConfig, benchmark_config, experiment_changes
+from roboxim_eval.benchmark.config import BenchmarkConfig, benchmark_config, experiment_changes
 from roboxim_eval.experiments import Design, ExperimentConfig, design_of, experiment_config, mix_of
 from roboxim_eval.experiments.config import FULL
 from roboxim_eval.experiments.design import require_different
