@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
 from typing import Any
@@ -24,7 +24,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_eval.ports import RosPorts
 from roboxim_ros.local.episodes import RUN_EPISODES
 from roboxim_ros.messages.conversions import from_msg, to_msg
-from roboxim_ros.node import RoboximNode
+from roboxim_ros.node import RoboximNode, ended, parameter
 
 FEEDBACK_PERIOD_S = 0.2
 ENDING_S = 60.0
@@ -48,13 +48,10 @@ def versions() -> dict[str, str]:
 class EvaluatorConfig:
     """Parameters of the evaluator node."""
 
-    service_timeout_s: float = field(
-        default=limits.WALL_TIME_S,
-        metadata={
-            "description": "wall-clock limit of the service, which cannot be cancelled; the action has none [s]",
-            "range": (0.001, limits.WALL_TIME_S),
-        },
-    )
+    service_timeout_s: float = parameter(
+        limits.WALL_TIME_S, "wall-clock limit of the service, which cannot be cancelled; the action has none [s]",
+        0.001, limits.WALL_TIME_S,
+    )  # fmt: skip
     """Longest run of the service [s]."""
 
 
@@ -124,13 +121,7 @@ class EvaluatorNode(RoboximNode):
                 feedback.done, feedback.finished, feedback.current = len(result.results), [message], episode.episode_id
                 goal.publish_feedback(feedback)
                 feedback.finished = []
-        if result.error_code == ErrorCode.CANCELLED and goal.is_cancel_requested:
-            goal.canceled()
-        elif result.error_code:
-            goal.abort()
-        else:
-            goal.succeed()
-        return result
+        return ended(goal, result)
 
     def run_episodes(
         self, config: RunConfig, indices: Sequence[int], told: Callable[[str, int], None], cancelled: Callable[[], bool]

@@ -8,7 +8,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, ParamSpec, TypeVar
 
@@ -62,7 +62,7 @@ from roboxim_ros.clients import wait_until
 from roboxim_ros.local import ticks as local_ticks
 from roboxim_ros.local.ticks import LocalTick
 from roboxim_ros.messages.conversions import fill_pose, from_msg
-from roboxim_ros.node import RoboximNode
+from roboxim_ros.node import RoboximNode, ended, parameter
 from roboxim_ros.on_demand import OnDemandGroup
 
 P = ParamSpec("P")
@@ -74,23 +74,16 @@ LATEST = "latest"
 """Episode id that stands for the newest state of the sim; for interactive use, since it is not reproducible."""
 
 
-def _parameter(default: Any, description: str, *limits: float) -> Any:
-    metadata: dict[str, Any] = {"description": description}
-    if limits:
-        metadata["range"] = limits
-    return field(default=default, metadata=metadata)
-
-
 @dataclass(frozen=True, kw_only=True)
 class PlannerNodeConfig:
     """Parameters of the planner node."""
 
-    robot: str = _parameter("panda", "id of the robot model for requests that name none")
-    timeout_s: float = _parameter(30.0, "wall-clock limit for requests that give none [s]", 0.001, limits.WALL_TIME_S)
-    padding_m: float = _parameter(0.005, "distance that searches keep from obstacles by default [m]", 0.0, 0.1)
-    scene_wait_s: float = _parameter(5.0, "longest wait for a scene revision that has not arrived yet [s]", 0.0, 60.0)
-    dump_dir: str = _parameter("", "folder for dumps of failures; empty: roboxim/planner in the user's cache folder")
-    dumps_kept: int = _parameter(100, "largest number of dumps in the folder; 0: no dumps are written", 0, 100000)
+    robot: str = parameter("panda", "id of the robot model for requests that name none")
+    timeout_s: float = parameter(30.0, "wall-clock limit for requests that give none [s]", 0.001, limits.WALL_TIME_S)
+    padding_m: float = parameter(0.005, "distance that searches keep from obstacles by default [m]", 0.0, 0.1)
+    scene_wait_s: float = parameter(5.0, "longest wait for a scene revision that has not arrived yet [s]", 0.0, 60.0)
+    dump_dir: str = parameter("", "folder for dumps of failures; empty: roboxim/planner in the user's cache folder")
+    dumps_kept: int = parameter(100, "largest number of dumps in the folder; 0: no dumps are written", 0, 100000)
 
 
 class PlannerNode(RoboximNode):
@@ -416,10 +409,4 @@ class PlannerNode(RoboximNode):
         make, msg = queries.MAKERS[name], goal.request
         with self.answering(f"planner/{name}", result), self._busy:
             self._plan(msg.request, lambda common: make(common, msg), result, progress=progress, entered=entered)
-        if result.error_code == ErrorCode.CANCELLED and goal.is_cancel_requested:
-            goal.canceled()
-        elif result.error_code:
-            goal.abort()
-        else:
-            goal.succeed()
-        return result
+        return ended(goal, result)

@@ -20,7 +20,7 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -49,7 +49,7 @@ from roboxim_ros.local.recording import RECORD_ARRIVING, RECORD_RECEIVED, RECORD
 from roboxim_ros.local.ticks import LocalTick
 from roboxim_ros.messages.conversions import from_msg
 from roboxim_ros.messages.serialising import to_cdr
-from roboxim_ros.node import RoboximNode
+from roboxim_ros.node import RoboximNode, parameter
 from roboxim_ros.on_demand import OnDemandGroup
 
 TICK_S = 30.0
@@ -63,10 +63,7 @@ _NO_WALL_TIMES: dict[str, Any] = dict.fromkeys(topics.WALL_TIMES[topics.STEP], 0
 class RecorderConfig:
     """Parameters of the recorder node."""
 
-    output_root: str = field(
-        default=".",
-        metadata={"description": "folder that every bag must be in; relative: to where the node was started"},
-    )
+    output_root: str = parameter(".", "folder that every bag must be in; relative: to where the node was started")
     """Folder that no request leads out of."""
 
 

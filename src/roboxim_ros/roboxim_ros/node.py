@@ -9,14 +9,28 @@ from typing import Any, TypeVar, get_type_hints
 
 import rclpy.parameter
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.action.server import ServerGoalHandle
 from rclpy.context import Context
 from rclpy.subscription import Subscription
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, ErrorCode
 from roboxim_ros.clients import Clients
 from roboxim_ros.guard import CAUGHT, GuardedNode, describe, fill_error, report
 
 C = TypeVar("C")
+R = TypeVar("R", bound=Any)
+
+
+def parameter(default: Any, description: str, *bounds: float) -> Any:
+    """Return the field of a node's parameter, for `RoboximNode.declare_config`.
+
+    Args:
+        default: Its default.
+        description: What it sets, with its unit.
+        bounds: Lowest and highest value; left out: any.
+    """
+    metadata = {"description": description} | ({"range": bounds} if bounds else {})
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 class RoboximNode(GuardedNode):
@@ -114,6 +128,18 @@ class RoboximNode(GuardedNode):
             self._clients_or_none.close()
             self._clients_or_none = None
         super().destroy_node()
+
+
+def ended(goal: ServerGoalHandle, result: R) -> R:
+    """End an action's goal as its result's ``error_code`` says, and return the result."""
+    code = result.error_code
+    if code == ErrorCode.CANCELLED and goal.is_cancel_requested:
+        goal.canceled()
+    elif code:
+        goal.abort()
+    else:
+        goal.succeed()
+    return result
 
 
 class ErrorAnswer:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from roboxim_core.errors import RequestTimeoutError
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
-from roboxim_ros.node import RoboximNode
+from roboxim_ros.node import RoboximNode, parameter
 from roboxim_sim.world import World
 
 
@@ -15,27 +15,18 @@ from roboxim_sim.world import World
 class SimConfig:
     """Parameters of the sim node."""
 
-    renderer: str = field(default="raster", metadata={"description": "renderer by name: raster, tiny"})
+    renderer: str = parameter("raster", "renderer by name: raster, tiny")
     """Renderer used unless a request names one."""
-    scene: str = field(
-        default="three_cubes",
-        metadata={"description": "scene loaded at the start, a name in config/scenes or a file; empty: none"},
-    )
+    scene: str = parameter("three_cubes", "scene loaded at the start, a name in config/scenes or a file; empty: none")
     """Scene loaded at the start."""
-    motion_timeout_s: float = field(
-        default=600.0,
-        metadata={
-            "description": "wall-clock time after which stepping, a trajectory or a gripper motion is aborted [s]",
-            "range": (0.1, 86400.0),
-        },
+    motion_timeout_s: float = parameter(
+        600.0, "wall-clock time after which stepping, a trajectory or a gripper motion is aborted [s]", 0.1, 86400.0
     )
     """Wall-clock limit of motions that advance time outside an episode."""
-    publish_unheard: bool = field(
-        default=True,
-        metadata={
-            "description": "whether ticks are published when nobody listens, so that a late subscriber gets the newest "
-            "one; otherwise it gets the scene's topics and the ticks from 0.1 s later on"
-        },
+    publish_unheard: bool = parameter(
+        True,
+        "whether ticks are published when nobody listens, so that a late subscriber gets the newest "
+        "one; otherwise it gets the scene's topics and the ticks from 0.1 s later on",
     )
     """Whether ticks are published when nobody listens. The workers of runs leave it out: nodes of their process take
     ticks from `roboxim_ros.local.ticks`, and the next tick comes within milliseconds."""

@@ -38,7 +38,7 @@ class World:
     """A robot at a table in PyBullet. A context manager; use it from one thread at a time.
 
     Non-obvious: while an episode holds the world, time advances in ticks (`tick`), otherwise freely (`step`,
-    `follow_trajectory`, `move_gripper`). Free motion marks the record as ``disturbed``, because actions alone cannot
+    `follow`, `move_gripper`). Free motion marks the record as ``disturbed``, because actions alone cannot
     reproduce it.
     """
 
@@ -311,16 +311,6 @@ class World:
         self.require_free("step")
         limits.require_range("steps", steps, 1, limits.STEPS)
         return self._exclusive(self._steps_in_periods(steps))
-
-    def follow_trajectory(
-        self,
-        times_s: Sequence[float],
-        positions: npt.ArrayLike,
-        velocities: npt.ArrayLike | None = None,
-        accelerations: npt.ArrayLike | None = None,
-    ) -> Generator[StateRecord, None, None]:
-        """Move the arm along a trajectory from its commanded position; see `checked_trajectory` and `follow`."""
-        return self.follow(self.checked_trajectory(times_s, positions, velocities, accelerations))
 
     def checked_trajectory(
         self,

@@ -18,7 +18,7 @@ def test_every_robot_follows_a_trajectory_and_moves_its_gripper(robot_id: str) -
         world.load(SceneSpec(robot=RobotSpec(model=robot_id)))
         home = np.array(LIBRARY.robot(robot_id).home)
         goal = home + np.resize([0.3, 0.1, -0.2], len(home))
-        states = list(world.follow_trajectory([0.6, 1.2], [(home + goal) / 2, goal]))
+        states = list(world.follow(world.checked_trajectory([0.6, 1.2], [(home + goal) / 2, goal])))
         assert states[-1].robot.joint_positions == pytest.approx(goal, abs=5e-3)
         *_, last = world.move_gripper(0.25)
         assert last.robot.gripper_opening == pytest.approx(0.25, abs=0.01)

@@ -237,7 +237,10 @@ def test_rejected_requests_do_not_change_the_world(world: World) -> None:
     assert _code(lambda: world.tick(1, hold_action(1.0), episode_id="f")) == ErrorCode.LEASE_HELD
     assert _code(lambda: world.step(1)) == ErrorCode.LEASE_HELD
     assert _code(lambda: world.move_gripper(0.0)) == ErrorCode.LEASE_HELD
-    assert _code(lambda: world.follow_trajectory([1.0], [LIBRARY.robot("panda").home])) == ErrorCode.LEASE_HELD
+    assert (
+        _code(lambda: world.follow(world.checked_trajectory([1.0], [LIBRARY.robot("panda").home])))
+        == ErrorCode.LEASE_HELD
+    )
     assert _code(lambda: world.release("f")) == ErrorCode.LEASE_HELD
     assert _code(lambda: world.set_entity_state("cub_0", Pose())) == ErrorCode.UNKNOWN_ENTITY
     assert _code(lambda: world.set_entity_state("cube_0", joint_positions={"slide": 0.1})) == ErrorCode.INVALID_REQUEST
@@ -271,12 +274,12 @@ def test_trajectory_moves_the_arm_and_time(world: World) -> None:
     world.load(SceneSpec())
     home = np.array(LIBRARY.robot("panda").home)
     goal = home + [0.3, 0.1, -0.2, 0.1, 0.0, 0.2, 0.4]
-    states = list(world.follow_trajectory([0.5, 1.05], [(home + goal) / 2, goal]))
+    states = list(world.follow(world.checked_trajectory([0.5, 1.05], [(home + goal) / 2, goal])))
     assert states[-1].stamp_ns == 1_050_000_000
     assert len(states) == 11
     assert states[-1].robot.joint_positions == pytest.approx(goal, abs=5e-3)
     assert states[-1].disturbed
-    halfway = world.follow_trajectory([1.0], [home])
+    halfway = world.follow(world.checked_trajectory([1.0], [home]))
     next(halfway)
     assert _code(lambda: world.step(1)) == ErrorCode.LEASE_HELD
     halfway.close()  # cancelled: the arm stays
@@ -302,7 +305,7 @@ def test_bad_trajectory_is_refused(
 ) -> None:
     world.load(SceneSpec())
     with pytest.raises(InvalidRequestError, match=message) as caught:
-        world.follow_trajectory(times, positions)
+        world.follow(world.checked_trajectory(times, positions))
     assert caught.value.code == ErrorCode.TRAJECTORY_INVALID
 
 

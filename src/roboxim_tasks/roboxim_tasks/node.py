@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -22,7 +22,7 @@ from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
 from roboxim_ros.messages.conversions import from_msg, to_msg
-from roboxim_ros.node import RoboximNode
+from roboxim_ros.node import RoboximNode, parameter
 from roboxim_ros.policy_service import PolicyService
 from roboxim_tasks.config import DEFAULT_TASK, TaskMix, load_task_config, parse_task_config
 from roboxim_tasks.demonstration.expert import Expert
@@ -38,45 +38,39 @@ MAX_JUDGES = 16
 """Number of episodes judged at a time; the least recently used one is dropped first."""
 
 
-def _parameter(default: Any, description: str, *bounds: float) -> Any:
-    return field(default=default, metadata={"description": description} | ({"range": bounds} if bounds else {}))
-
-
 @dataclass(frozen=True, kw_only=True)
 class TaskNodeConfig:
     """Parameters of the task node."""
 
-    task: str = _parameter(
+    task: str = parameter(
         DEFAULT_TASK, "default task of requests without a configuration: a name in config/tasks, or a file"
     )
     """Default task."""
-    max_tcp_speed_m_s: float = _parameter(SpeedConfig.max_tcp_speed_m_s, "largest tcp speed [m/s]", 0.01, 2.0)
+    max_tcp_speed_m_s: float = parameter(SpeedConfig.max_tcp_speed_m_s, "largest tcp speed [m/s]", 0.01, 2.0)
     """Speed of the expert."""
-    max_tcp_rot_speed_rad_s: float = _parameter(
+    max_tcp_rot_speed_rad_s: float = parameter(
         SpeedConfig.max_tcp_rot_speed_rad_s, "largest angular speed of the tool [rad/s]", 0.05, 6.0
     )
     """Angular speed of the expert."""
-    smoothing_s: float = _parameter(
+    smoothing_s: float = parameter(
         SpeedConfig.smoothing_s, "time that the expert takes to reach its speed [s]", 0.0, 2.0
     )
     """Smoothing of the expert."""
-    solvable: bool = _parameter(True, "whether to refuse scenes that the planner cannot solve; needs the planner")
+    solvable: bool = parameter(True, "whether to refuse scenes that the planner cannot solve; needs the planner")
     """Whether every scene is planned before it is returned."""
-    visible: bool = _parameter(
+    visible: bool = parameter(
         True, "whether to refuse scenes whose fixed cameras do not see the named objects; needs the sim"
     )
     """Whether the visibility in every scene with cameras is checked before it is returned."""
-    visible_renderer: str = _parameter(
-        "raster", "renderer of the visibility check; another one may refuse other scenes"
-    )
+    visible_renderer: str = parameter("raster", "renderer of the visibility check; another one may refuse other scenes")
     """Renderer that looks."""
-    render_timeout_s: float = _parameter(120.0, "longest wait for an image [s]", 0.1, 600.0)
+    render_timeout_s: float = parameter(120.0, "longest wait for an image [s]", 0.1, 600.0)
     """Longest wait for the simulator's answer."""
-    direct: bool = _parameter(
+    direct: bool = parameter(
         False, "whether the expert goes straight from stage to stage and ignores obstacles; a baseline for comparisons"
     )
     """Whether the expert goes without detours and verification."""
-    planner_timeout_s: float = _parameter(120.0, "longest wait for the planner [s]", 0.1, 600.0)
+    planner_timeout_s: float = parameter(120.0, "longest wait for the planner [s]", 0.1, 600.0)
     """Longest wait for the planner's answer."""
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -126,22 +126,23 @@ def pose_in_world(
 
 def options_from_msg(msg: Any) -> MotionOptions:
     """Convert the limits of a ``MotionRequest``; zero means the default."""
-    numbers = {
-        "velocity_scaling": (msg.max_velocity_scaling_factor, 1.0),
-        "acceleration_scaling": (msg.max_acceleration_scaling_factor, 1.0),
-        "max_tcp_speed_m_s": (msg.max_tcp_speed, math.inf),
-        "max_tcp_rot_speed_rad_s": (msg.max_tcp_rot_speed, math.inf),
-    }
-    values: dict[str, Any] = {
-        name: default if value == 0.0 else float(value) for name, (value, default) in numbers.items()
-    }
-    padding = None if msg.scene.padding == 0.0 else float(msg.scene.padding)
     named: dict[str, Any] = {"planner": msg.planner_id} if msg.planner_id else {}
-    upright = upright_from_msg(msg.path_constraints)
+    padding = None if msg.scene.padding == 0.0 else float(msg.scene.padding)
     improve = int(msg.improve_iterations) or None
-    return MotionOptions(
-        **values, **named, padding_m=padding, upright=upright, improve_iterations=improve, seed=int(msg.seed)
-    )
+    options = MotionOptions(**named, padding_m=padding, improve_iterations=improve, seed=int(msg.seed))
+    return limited(options, msg)
+
+
+def limited(options: MotionOptions, msg: Any) -> MotionOptions:
+    """Return options with the limits that a ``MotionRequest`` or a ``MotionStage`` gives; zero means none."""
+    numbers = {
+        "velocity_scaling": msg.max_velocity_scaling_factor,
+        "acceleration_scaling": msg.max_acceleration_scaling_factor,
+        "max_tcp_speed_m_s": msg.max_tcp_speed,
+        "max_tcp_rot_speed_rad_s": msg.max_tcp_rot_speed,
+    }
+    given: dict[str, Any] = {name: float(value) for name, value in numbers.items() if value != 0.0}
+    return replace(options, **given, upright=upright_from_msg(msg.path_constraints) or options.upright)
 
 
 def upright_from_msg(msg: Any) -> Upright | None:

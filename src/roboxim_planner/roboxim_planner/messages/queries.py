@@ -19,6 +19,7 @@ from roboxim_core.poses import Pose
 from roboxim_planner.messages.conversions import (
     TCP,
     joints_from_msg,
+    limited,
     naming,
     optional_pose,
     options_from_msg,
@@ -26,7 +27,6 @@ from roboxim_planner.messages.conversions import (
     pose_in_world,
     sample_period,
     trajectory_from_msg,
-    upright_from_msg,
 )
 from roboxim_planner.messages.scenes import allowed_from_msg, opening_from_msg, scene_from_msg
 from roboxim_planner.motions.retime import DEFAULT_TOLERANCE_RAD
@@ -221,7 +221,7 @@ def _stage(common: Common, msg: Any, name: str) -> Stage:
         detach=tuple(msg.detach),
         gripper_opening=opening_from_msg(msg),
         allowed=allowed_from_msg(msg),
-        options=_limited(common.options, msg),
+        options=limited(common.options, msg),
     )
 
 
@@ -236,19 +236,6 @@ def _stage_goal(common: Common, stamped: Any, relative: bool, what: str) -> Stag
     if not any((q.x, q.y, q.z, q.w)):
         stamped.pose.orientation.w = 1.0
     return StageGoal(pose=axes @ optional_pose(stamped.pose, what=what) @ axes.inverse(), relative=True)
-
-
-def _limited(options: MotionOptions, msg: Any) -> MotionOptions:
-    """Return the options with the limits that a ``MotionStage`` gives."""
-    numbers = {
-        "velocity_scaling": msg.max_velocity_scaling_factor,
-        "acceleration_scaling": msg.max_acceleration_scaling_factor,
-        "max_tcp_speed_m_s": msg.max_tcp_speed,
-        "max_tcp_rot_speed_rad_s": msg.max_tcp_rot_speed,
-    }
-    given: dict[str, Any] = {name: float(value) for name, value in numbers.items() if value != 0.0}
-    upright = upright_from_msg(msg.path_constraints)
-    return replace(options, **given, upright=options.upright if upright is None else upright)
 
 
 def retime_query(common: Common, msg: Any) -> Query:
