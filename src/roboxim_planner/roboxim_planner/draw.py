@@ -24,14 +24,13 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from scipy.spatial import ConvexHull
 
 from roboxim_core.errors import PlannerError
-from roboxim_core.models.description import Shape
 from roboxim_core.poses import Pose
 from roboxim_planner.collisions.contacts import ContactPair
-from roboxim_planner.collisions.geometry import mesh_points
+from roboxim_planner.collisions.geometry import make_shape
 from roboxim_planner.pipeline import Plan, Planner
 from roboxim_planner.queries import Answer, IkQuery, LineQuery, PoseQuery, Query, RetimeQuery, SequenceQuery
 from roboxim_planner.robot import PlannerRobot, se3
-from roboxim_planner.scene import Body, BodyShape, PlanningScene, PointHull, TriangleMesh
+from roboxim_planner.scene import Body, PlanningScene, TriangleMesh
 
 Array = npt.NDArray[np.float64]
 DPI = 110
@@ -269,7 +268,7 @@ def robot_triangles(robot: PlannerRobot, joints: Array, opening: float) -> Itera
     placed = robot.geometry.createData()
     pin.updateGeometryPlacements(robot.model, data, robot.geometry, placed, robot.full(joints, opening))
     for item, placement in list(zip(robot.geometry.geometryObjects, placed.oMg, strict=True))[: robot.whole_shapes]:
-        corners = _coal_triangles(item.geometry)
+        corners = _triangles(item.geometry)
         yield corners @ placement.rotation.T + placement.translation
 
 
@@ -278,42 +277,28 @@ def body_triangles(body: Body) -> Array:
     parts = []
     for shape in body.shapes:
         place = se3(body.pose @ shape.pose)
-        parts.append(_shape_triangles(shape) @ place.rotation.T + place.translation)
+        if isinstance(shape, TriangleMesh):
+            corners = np.array(shape.vertices)[np.array(shape.triangles)]
+        else:
+            corners = _triangles(make_shape(shape))
+        parts.append(corners @ place.rotation.T + place.translation)
     return np.concatenate(parts)
 
 
-def _shape_triangles(shape: BodyShape) -> Array:
-    if isinstance(shape, PointHull):
-        return _hull(np.array(shape.points))
-    if isinstance(shape, TriangleMesh):
-        return np.asarray(np.array(shape.vertices)[np.array(shape.triangles)])
-    if shape.kind == "hull":
-        return _hull(np.array(mesh_points(shape.mesh, shape.scale)))
-    return _primitive(shape)
-
-
-def _primitive(shape: Shape) -> Array:
-    if shape.kind == "box":
-        mesh = trimesh.creation.box(shape.size)
-    elif shape.kind == "sphere":
-        mesh = trimesh.creation.icosphere(subdivisions=2, radius=shape.size[0])
-    elif shape.kind == "cylinder":
-        mesh = trimesh.creation.cylinder(radius=shape.size[0], height=shape.size[1], sections=24)
+def _triangles(shape: Any) -> Array:
+    """Return the triangles of coal's convex shape."""
+    if isinstance(shape, coal.ConvexBase):
+        return _hull(np.asarray(shape.points()))
+    if isinstance(shape, coal.Box):
+        mesh = trimesh.creation.box(2.0 * shape.halfSide)
+    elif isinstance(shape, coal.Sphere):
+        mesh = trimesh.creation.icosphere(subdivisions=2, radius=shape.radius)
+    elif isinstance(shape, coal.Cylinder):
+        mesh = trimesh.creation.cylinder(radius=shape.radius, height=2.0 * shape.halfLength, sections=24)
     else:
-        mesh = trimesh.creation.capsule(radius=shape.size[0], height=shape.size[1], count=(16, 16))
+        mesh = trimesh.creation.capsule(radius=shape.radius, height=2.0 * shape.halfLength, count=(16, 16))
         mesh.apply_translation(-mesh.bounds.mean(axis=0))
     return _fine(np.asarray(mesh.triangles))
-
-
-def _coal_triangles(geometry: Any) -> Array:
-    if isinstance(geometry, coal.Box):
-        return _fine(np.asarray(trimesh.creation.box(2.0 * geometry.halfSide).triangles))
-    if isinstance(geometry, coal.ConvexBase):
-        return _hull(np.asarray(geometry.points()))
-    if isinstance(geometry, coal.Sphere):
-        return _primitive(Shape(kind="sphere", size=(geometry.radius,)))
-    kind = "cylinder" if isinstance(geometry, coal.Cylinder) else "capsule"
-    return _primitive(Shape(kind=kind, size=(geometry.radius, 2.0 * geometry.halfLength)))
 
 
 def _hull(points: Array) -> Array:
