@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import moderngl
@@ -84,6 +86,13 @@ def _gl_finish() -> Callable[[], None]:
     return ctypes.CFUNCTYPE(None)(address) if address else lambda: None
 
 
+@cache
+def source(name: str) -> str:
+    """Return the text of ``glsl/NAME.glsl``, with the files that it includes."""
+    text = (Path(__file__).parent / "glsl" / f"{name}.glsl").read_text()
+    return re.sub(r'^#include "(\w+)"\n', lambda found: source(found[1]), text, flags=re.MULTILINE)
+
+
 class Shader:
     """A program whose uniforms are set by name; uniforms that the compiler removed are skipped."""
 
@@ -92,12 +101,12 @@ class Shader:
 
         Args:
             context: The context.
-            vertex: GLSL without its version line.
-            fragment: GLSL without its version line.
+            vertex: Name of the vertex shader, see `source`.
+            fragment: Name of the fragment shader.
             defines: Values by preprocessor name.
         """
         head = "#version 330\n" + "".join(f"#define {key} {value}\n" for key, value in defines.items())
-        self.program = context.program(vertex_shader=head + vertex, fragment_shader=head + fragment)
+        self.program = context.program(vertex_shader=head + source(vertex), fragment_shader=head + source(fragment))
 
     def set(self, **values: Any) -> None:
         """Set uniforms to numbers or tuples; for a uniform block or a sampler, set its binding."""

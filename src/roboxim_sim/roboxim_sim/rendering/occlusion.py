@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.vision.renderer import TriangleMesh
-from roboxim_sim.rendering import shaders
 from roboxim_sim.rendering.gl import Buffer, Shader
 from roboxim_sim.rendering.lod import same
 
@@ -87,7 +86,7 @@ class OcclusionBaker:
         if self._target is None or self._shader is None:
             self._target = Buffer(ctx, (COLUMNS * CELL, ROWS * CELL), depth="texture")
             defines = {"SIDES": str(len(self._axes)), "COLUMNS": str(COLUMNS), "ROWS": str(ROWS)}
-            self._shader = Shader(ctx, shaders.OCCLUSION_VERTEX, shaders.SHADOW_FRAGMENT, defines)
+            self._shader = Shader(ctx, "occlusion_vertex", "shadow_fragment", defines)
             self._shader.set(axes=[tuple(axes.T.ravel()) for axes in self._axes])
         corners = np.concatenate([mesh.vertices[mesh.faces].reshape(-1, 3) for mesh in meshes])
         vertices = ctx.buffer(((corners - center) / radius).astype(np.float32))

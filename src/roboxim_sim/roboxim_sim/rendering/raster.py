@@ -29,7 +29,6 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, LookSpec
 from roboxim_core.vision.renderer import CameraImages, RenderWorld
-from roboxim_sim.rendering import shaders
 from roboxim_sim.rendering.draw_lists import CONTACT_REACH_M, MAX_LIGHTS, Frame
 from roboxim_sim.rendering.geometry import Packer, check_request, check_world, texture_names
 from roboxim_sim.rendering.gl import Buffer, GpuWorld, Shader, TextureStore, create_context, wait_for_drawing
@@ -159,7 +158,7 @@ class RasterRenderer:
         size = frame.light.size
         if self._shadow is None or self._shadow.size[0] != size:
             self._shadow = Buffer(self._context, (size, size), depth="texture")
-        shader = self._shader("SHADOW_VERTEX", "SHADOW_FRAGMENT")
+        shader = self._shader("shadow_vertex", "shadow_fragment")
         shader.set(clip_from_world=tuple(frame.light.matrix.T.ravel()))
         self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         self._shadow.fbo.use()
@@ -175,7 +174,7 @@ class RasterRenderer:
         if not frame.touching.any():
             return
         ctx, box = self._context, frame.contact_box
-        shader = self._shader("CONTACT_VERTEX", "CONTACT_FRAGMENT")
+        shader = self._shader("contact_vertex", "contact_fragment")
         shader.set(contact_box=box)
         ctx.enable_only(moderngl.BLEND)
         ctx.blend_equation = moderngl.MAX, moderngl.MAX
@@ -185,7 +184,7 @@ class RasterRenderer:
         ctx.enable_only(moderngl.NOTHING)
         self._contact.fbo.use()
         self._cover.colors[0].use(SAMPLERS["image"])
-        self._fill("CONTACT_SHADE_FRAGMENT", texels=CONTACT_SIZE * box[2])
+        self._fill("contact_shade_fragment", texels=CONTACT_SIZE * box[2])
         self._contact.colors[0].use(SAMPLERS["contact_map"])
 
     def _shade(
@@ -200,8 +199,8 @@ class RasterRenderer:
         self._context.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         for batch in frame.batches(camera, pose):
             flags = (*lights, *batch.flags) if colour else ("COLOURLESS",)
-            world.draw(self._shader("SCENE_VERTEX", "SCENE_FRAGMENT", *geometry, *flags), batch.ranges)
-        self._fill("BACKDROP_FRAGMENT", *geometry, color=frame.backdrop)
+            world.draw(self._shader("scene_vertex", "scene_fragment", *geometry, *flags), batch.ranges)
+        self._fill("backdrop_fragment", *geometry, color=frame.backdrop)
 
     def _smooth(self, target: _Target) -> None:
         """Anti-alias the colour: copy it and redraw the edges only, because most pixels have none."""
@@ -209,11 +208,11 @@ class RasterRenderer:
         self._context.copy_framebuffer(target.final.fbo, target.colour)
         target.final.fbo.use()
         target.raw.colors[0].use(SAMPLERS["image"])
-        self._fill("FXAA_FRAGMENT")
+        self._fill("fxaa_fragment")
 
     def _fill(self, fragment: str, *flags: str, **values: object) -> None:
         """Draw a triangle over the whole viewport, at the far plane."""
-        shader = self._shader("SCREEN_VERTEX", fragment, *flags)
+        shader = self._shader("screen_vertex", fragment, *flags)
         shader.set(**values)
         key = (fragment, *flags)
         if key not in self._screens:
@@ -222,11 +221,11 @@ class RasterRenderer:
         self._screens[key].render(vertices=3)
 
     def _shader(self, vertex: str, fragment: str, *flags: str) -> Shader:
-        """Return a shader by the names of its sources in `shaders`; compile it on first use."""
+        """Return a shader by the names of its sources; compile it on first use."""
         key = (vertex, fragment, *flags)
         if key not in self._shaders:
             defines = {**self._defines, **dict.fromkeys(flags, "1")}
-            self._shaders[key] = Shader(self._context, getattr(shaders, vertex), getattr(shaders, fragment), defines)
+            self._shaders[key] = Shader(self._context, vertex, fragment, defines)
             self._shaders[key].set(**SAMPLERS)
         return self._shaders[key]
 
