@@ -20,8 +20,9 @@ from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.integrity.repair import OUTCOME_UNKNOWN, repair_bag
 from roboxim_runs.datasets.export import REPLAY_FILE, export_dataset
 from roboxim_runs.datasets.replay_gate import replay_dataset, replay_episode, spread
-from roboxim_runs.episodes.reexecution import CoreJudge, PhysicsSim, rejudge
+from roboxim_runs.episodes.reexecution import rejudge
 from roboxim_runs.episodes.task_choice import task_text
+from roboxim_sim.world import World
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +53,7 @@ def report(exported, run):
 
 @pytest.fixture(scope="module")
 def sim():
-    sim = PhysicsSim()
+    sim = World()
     yield sim
     sim.close()
 
@@ -65,7 +66,7 @@ def replayed(exported, run, sim, number, change=lambda step: step, *, labels=Fal
         return map(change, episode.read(wanted))
 
     bag = BagReader(run / "episodes" / episode.episode_id)
-    return replay_episode(replace(episode, read=read, **fields), bag, sim, CoreJudge(), labels=labels)
+    return replay_episode(replace(episode, read=read, **fields), bag, sim, labels=labels)
 
 
 def test_a_good_export_passes(report):
@@ -148,7 +149,7 @@ def test_a_dataset_at_half_the_rate_is_executed_at_its_own(exported, run, sim):
     slow = replace(
         episode, length=len(steps), semantics=ActionSemantics(rate_hz=5.0), fps=5.0, read=lambda _: iter(steps)
     )
-    found = replay_episode(slow, bag, sim, CoreJudge(), labels=False)
+    found = replay_episode(slow, bag, sim, labels=False)
     assert not found.lossless
     assert len(found.executed.tcp_error_m) == found.executed.steps
     assert max(found.executed.tcp_error_m) < 0.02, "it follows the recording, two ticks at a time"

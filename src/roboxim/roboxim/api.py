@@ -4,26 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 from roboxim_core.errors import ConfigError, one_of
-from roboxim_runs.datasets import export
-from roboxim_runs.datasets.export import ExportConfig, ExportReport, Hdf5Config, LeRobotConfig
+from roboxim_runs.datasets.export import ExportConfig, Hdf5Config, LeRobotConfig, export_dataset
 from roboxim_runs.episodes import generation, rerendering
-from roboxim_runs.episodes.generation import GenerationConfig, GenerationResult
-from roboxim_runs.episodes.rerendering import RerenderConfig, Rerendered, find_bags
 from roboxim_runs.evaluation import run as evaluation
-from roboxim_runs.evaluation.results import EvaluationResult
-from roboxim_runs.evaluation.run import EvaluationConfig
-from roboxim_runs.events import OnEvent, ignore
-from roboxim_runs.executors import Cancellation, Executor
 from roboxim_runs.training import run as training
-from roboxim_runs.training.run import BCConfig, TrainingResult
 
 C = TypeVar("C")
-F = TypeVar("F", bound=Callable[..., Any])
+R = TypeVar("R")
 
 
 def _configured(cls: type[C], config: C | None, fields: dict[str, Any]) -> C:
@@ -32,268 +23,57 @@ def _configured(cls: type[C], config: C | None, fields: dict[str, Any]) -> C:
     Raises:
         ConfigError: On an unknown field, or without a required one.
     """
-    names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    known = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for name in fields:
-        if name not in names:
-            raise ConfigError(f"{cls.__name__} has no field '{name}'; {one_of(names, name)}")
+        if name not in known:
+            raise ConfigError(f"{cls.__name__} has no field '{name}'; {one_of(known, name)}")
     if config is not None:
         return dataclasses.replace(config, **fields)  # type: ignore[type-var]
-    required = [
-        field.name
-        for field in dataclasses.fields(cls)  # type: ignore[arg-type]
-        if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-    ]
+    unset = dataclasses.MISSING
+    required = [name for name, field in known.items() if field.default is unset and field.default_factory is unset]
     missing = [name for name in required if name not in fields]
     if missing:
         raise ConfigError(f"{cls.__name__} needs {' and '.join(missing)}")
     return cls(**fields)
 
 
-def _with_fields_of(cls: type[Any]) -> Callable[[F], F]:
-    """Return a decorator that adds a configuration's fields to a function's signature, for help and completion."""
-
-    def decorate(function: F) -> F:
-        signature = inspect.signature(function)
-        own = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
-        fields = [
-            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-            for parameter in inspect.signature(cls).parameters.values()
-        ]
-        function.__signature__ = signature.replace(parameters=[*own, *fields])  # type: ignore[attr-defined]
-        return function
-
-    return decorate
-
-
-@_with_fields_of(GenerationConfig)
-def generate(
-    config: GenerationConfig | None = None,
-    /,
-    *,
-    on_event: OnEvent = ignore,
-    cancellation: Cancellation | None = None,
-    executor: Executor | None = None,
-    **fields: Any,
-) -> GenerationResult:
-    """Generate demonstrations of a task with the expert; see `roboxim_runs.episodes.generation.generate`.
-
-    The same call continues where it stopped.
+def _by_fields(name: str, run: Callable[..., R], cls: type[Any], *first: str) -> Callable[..., R]:
+    """Return a run as a function that also takes the fields of its configuration, as keyword arguments.
 
     Args:
-        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
-        on_event: Receives the run's events, e.g. ``roboxim.EventPrinter()``.
-        cancellation: Ends the run when it is set, e.g. a `threading.Event`.
-        executor: Runs the episodes; none: processes of this machine.
-        **fields: Fields of `GenerationConfig`.
-
-    Raises:
-        RoboximError: As the run raises it.
+        name: Name of the function.
+        run: The run; its parameter ``config`` takes the configuration.
+        cls: Class of the configuration.
+        *first: Values of the run's first parameters, which the function does not have.
     """
-    return generation.generate(
-        _configured(GenerationConfig, config, fields), on_event=on_event, cancellation=cancellation, executor=executor
+    whole = inspect.signature(run)
+    own = list(whole.parameters.values())[len(first) :]
+    own = [parameter.replace(default=None) if parameter.name == "config" else parameter for parameter in own]
+    signature = whole.replace(parameters=own)
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    fields = [parameter.replace(kind=keyword) for parameter in inspect.signature(cls).parameters.values()]
+
+    def function(*arguments: Any, **named: Any) -> R:
+        given = {key: named.pop(key) for key in list(named) if key not in signature.parameters}
+        bound = signature.bind_partial(*arguments, **named)
+        bound.arguments["config"] = _configured(cls, bound.arguments.get("config"), given)
+        return run(*first, *bound.args, **bound.kwargs)
+
+    call = f"{run.__module__}.{run.__name__}" + (f"({', '.join(map(repr, first))}, ...)" if first else "")
+    function.__name__ = function.__qualname__ = name
+    function.__module__ = __name__
+    function.__doc__ = (
+        f"Call `{call}` with fields of `{cls.__name__}` as keyword arguments.\n\n"
+        f"They replace the fields of ``config``; without it, the defaults.\n\n{inspect.getdoc(run)}"
     )
+    function.__signature__ = signature.replace(parameters=[*own, *fields])  # type: ignore[attr-defined]
+    return function
 
 
-@_with_fields_of(ExportConfig)
-def export_rlds(
-    source: Path | str | Sequence[Path | str],
-    target: Path | str,
-    config: ExportConfig | None = None,
-    /,
-    *,
-    overwrite: bool = False,
-    gate: int = 0,
-    workers: int = 1,
-    on_event: OnEvent = ignore,
-    cancellation: Cancellation | None = None,
-    **fields: Any,
-) -> ExportReport:
-    """Export the bags of runs as RLDS; see `roboxim_runs.datasets.export.export_dataset`.
-
-    Args:
-        source: A run's folder, a folder of bags, or one bag; or several of them.
-        target: Data directory to write ``<name>/<version>`` into.
-        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
-        overwrite: Replace an existing dataset.
-        gate: Number of episodes to execute again before the dataset gets its place; 0: none.
-        workers: Processes that execute them.
-        on_event: Receives the run's events.
-        cancellation: Ends the export when it is set.
-        **fields: Fields of `ExportConfig`.
-
-    Raises:
-        RoboximError: As the run raises it.
-    """
-    return export.export_dataset(
-        "rlds", source, target, _configured(ExportConfig, config, fields), overwrite=overwrite, gate=gate,
-        workers=workers, on_event=on_event, cancellation=cancellation,
-    )  # fmt: skip
-
-
-@_with_fields_of(LeRobotConfig)
-def export_lerobot(
-    source: Path | str | Sequence[Path | str],
-    target: Path | str,
-    config: LeRobotConfig | None = None,
-    /,
-    *,
-    overwrite: bool = False,
-    gate: int = 0,
-    workers: int = 1,
-    on_event: OnEvent = ignore,
-    cancellation: Cancellation | None = None,
-    **fields: Any,
-) -> ExportReport:
-    """Export the bags of runs as a LeRobot dataset; see `roboxim_runs.datasets.export.export_dataset`.
-
-    Args:
-        source: A run's folder, a folder of bags, or one bag; or several of them.
-        target: Folder of the dataset.
-        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
-        overwrite: Replace an existing dataset.
-        gate: Number of episodes to execute again before the dataset gets its place; 0: none.
-        workers: Processes that execute them.
-        on_event: Receives the run's events.
-        cancellation: Ends the export when it is set.
-        **fields: Fields of `LeRobotConfig`, e.g. ``version``.
-
-    Raises:
-        RoboximError: As the run raises it.
-    """
-    return export.export_dataset(
-        "lerobot", source, target, _configured(LeRobotConfig, config, fields), overwrite=overwrite, gate=gate,
-        workers=workers, on_event=on_event, cancellation=cancellation,
-    )  # fmt: skip
-
-
-@_with_fields_of(Hdf5Config)
-def export_hdf5(
-    source: Path | str | Sequence[Path | str],
-    target: Path | str,
-    config: Hdf5Config | None = None,
-    /,
-    *,
-    overwrite: bool = False,
-    gate: int = 0,
-    workers: int = 1,
-    on_event: OnEvent = ignore,
-    cancellation: Cancellation | None = None,
-    **fields: Any,
-) -> ExportReport:
-    """Export the bags of runs as HDF5 in robomimic's layout; see `roboxim_runs.datasets.export.export_dataset`.
-
-    Args:
-        source: A run's folder, a folder of bags, or one bag; or several of them.
-        target: Folder of the dataset.
-        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
-        overwrite: Replace an existing dataset.
-        gate: Number of episodes to execute again before the dataset gets its place; 0: none.
-        workers: Processes that execute them.
-        on_event: Receives the run's events.
-        cancellation: Ends the export when it is set.
-        **fields: Fields of `Hdf5Config`.
-
-    Raises:
-        RoboximError: As the run raises it.
-    """
-    return export.export_dataset(
-        "hdf5", source, target, _configured(Hdf5Config, config, fields), overwrite=overwrite, gate=gate,
-        workers=workers, on_event=on_event, cancellation=cancellation,
-    )  # fmt: skip
-
-
-@_with_fields_of(BCConfig)
-def train_bc(
-    dataset: Path | str,
-    /,
-    out: Path | str = "runs/bc",
-    config: BCConfig | None = None,
-    *,
-    limit: int = 0,
-    on_event: OnEvent = ignore,
-    cancellation: Cancellation | None = None,
-    **fields: Any,
-) -> TrainingResult:
-    """Train a small behaviour-cloning policy; see `roboxim_runs.training.run.train_bc`.
-
-    Args:
-        dataset: An RLDS export's folder.
-        out: Folder of the checkpoint.
-        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
-        limit: Largest number of episodes to use; 0: all.
-        on_event: Receives the run's events.
-        cancellation: Ends the training when it is set; a checkpoint is saved.
-        **fields: Fields of `BCConfig`, e.g. ``steps``.
-
-    Raises:
-        RoboximError: As the run raises it.
-    """
-    return training.train_bc(
-        dataset, out, _configured(BCConfig, config, fields), limit=limit, on_event=on_event, cancellation=cancellation
-    )
-
-
-@_with_fields_of(EvaluationConfig)
-def evaluate(
-    config: EvaluationConfig | None = None,
-    /,
-    *,
-    on_event: OnEvent = ignore,
-    cancellation: Cancellation | None = None,
-    executor: Executor | None = None,
-    servers: Sequence[Executor] = (),
-    **fields: Any,
-) -> EvaluationResult:
-    """Run policies in fresh scenes and write a report; see `roboxim_runs.evaluation.run.evaluate`.
-
-    Args:
-        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
-        on_event: Receives the run's events.
-        cancellation: Ends the run when it is set.
-        executor: Runs the episodes; none: processes of this machine.
-        servers: Run one process each that serves a policy to all workers; none: each worker has the policy itself.
-        **fields: Fields of `EvaluationConfig`, above all ``policies``.
-
-    Raises:
-        RoboximError: As the run raises it.
-    """
-    return evaluation.evaluate(
-        _configured(EvaluationConfig, config, fields), on_event=on_event, cancellation=cancellation, executor=executor,
-        servers=servers,
-    )  # fmt: skip
-
-
-@_with_fields_of(RerenderConfig)
-def rerender(
-    sources: Path | str | Sequence[Path | str],
-    out: Path | str,
-    config: RerenderConfig | None = None,
-    /,
-    *,
-    workers: int = 1,
-    on_event: OnEvent = ignore,
-    cancellation: Cancellation | None = None,
-    executor: Executor | None = None,
-    **fields: Any,
-) -> Rerendered:
-    """Render recorded episodes again; see `roboxim_runs.episodes.rerendering.rerender`.
-
-    Args:
-        sources: Bags, folders of bags or runs.
-        out: Folder of the new run.
-        config: Base configuration, whose fields the keyword arguments replace; none: the defaults.
-        workers: Processes, each with a renderer; 1: this process.
-        on_event: Receives the run's events.
-        cancellation: Ends the run when it is set.
-        executor: Renders the bags; none: processes of this machine.
-        **fields: Fields of `RerenderConfig`.
-
-    Raises:
-        RoboximError: As the run raises it.
-    """
-    named = [sources] if isinstance(sources, Path | str) else sources
-    bags = find_bags(map(Path, named))
-    return rerendering.rerender(
-        bags, out, _configured(RerenderConfig, config, fields), workers=workers, on_event=on_event,
-        cancellation=cancellation, executor=executor,
-    )  # fmt: skip
+generate = _by_fields("generate", generation.generate, generation.GenerationConfig)
+export_rlds = _by_fields("export_rlds", export_dataset, ExportConfig, "rlds")
+export_lerobot = _by_fields("export_lerobot", export_dataset, LeRobotConfig, "lerobot")
+export_hdf5 = _by_fields("export_hdf5", export_dataset, Hdf5Config, "hdf5")
+train_bc = _by_fields("train_bc", training.train_bc, training.BCConfig)
+evaluate = _by_fields("evaluate", evaluation.evaluate, evaluation.EvaluationConfig)
+rerender = _by_fields("rerender", rerendering.rerender, rerendering.RerenderConfig)

@@ -57,6 +57,19 @@ def examine() -> Iterator[Finding]:
         yield from (probe.result() for probe in probes)
 
 
+def _rated(name: str, good: bool, detail: str, otherwise: str = "warning", **more: str) -> Finding:
+    """Return the finding of a check that is either good or not.
+
+    Args:
+        name: What it is.
+        good: Whether it is as it should be.
+        detail: What was found.
+        otherwise: State of a finding that is not good.
+        **more: ``remedy``, ``without`` and ``purpose`` of the finding.
+    """
+    return Finding(name=name, state="ok" if good else otherwise, detail=detail, **more)
+
+
 def _finding(check: Callable[[], Finding]) -> Finding:
     try:
         return check()
@@ -70,14 +83,11 @@ def _finding(check: Callable[[], Finding]) -> Finding:
 
 def _python() -> Finding:
     version = ".".join(map(str, sys.version_info[:3]))
-    good = sys.version_info[:2] == (3, 11)
-    return Finding(
-        name="Python",
-        state="ok" if good else "missing",
-        detail=f"{version} ({sys.executable})",
+    return _rated(
+        "Python", sys.version_info[:2] == (3, 11), f"{version} ({sys.executable})", "missing",
         remedy="make setup PYTHON=/path/to/python3.11",
         without="the wheels of ROS 2 Jazzy and PyBullet exist for 3.11 only",
-    )
+    )  # fmt: skip
 
 
 def _version(name: str) -> str | None:
@@ -90,15 +100,9 @@ def _version(name: str) -> str | None:
 def _packages(name: str, packages: tuple[str, ...]) -> Finding:
     versions = {package: _version(package) for package in packages}
     absent = [package for package, version in versions.items() if version is None]
-    return Finding(
-        name=name,
-        state="missing" if absent else "ok",
-        detail=", ".join(
-            f"{package.removeprefix('ros-jazzy-')} {version or '-'}" for package, version in versions.items()
-        ),
-        remedy="make setup",
-        without=f"nothing that needs {', '.join(absent)}",
-    )
+    detail = ", ".join(f"{name.removeprefix('ros-jazzy-')} {version or '-'}" for name, version in versions.items())
+    without = f"nothing that needs {', '.join(absent)}"
+    return _rated(name, not absent, detail, "missing", remedy="make setup", without=without)
 
 
 def _ros_wheels() -> Finding:
@@ -106,7 +110,7 @@ def _ros_wheels() -> Finding:
 
     if _version("ros-jazzy-rclpy") is None:  # built with colcon on an installed ROS 2
         detail = f"{os.environ.get('ROS_DISTRO', 'of an unknown distribution')}, {Path(rclpy.__file__).parent}"
-        return Finding(name="ROS 2", state="ok", detail=detail)
+        return _rated("ROS 2", True, detail)
     return _packages("ROS 2 wheels", WHEELS)
 
 
@@ -119,24 +123,20 @@ def _interfaces() -> Finding:
         from roboxim_interfaces.srv import Tick
 
         detail = f"built ({len(Tick.Request.get_fields_and_field_types())} fields in srv/Tick)"
-        return Finding(name="interfaces", state="ok", detail=detail)
+        return _rated("interfaces", True, detail)
     except ImportError as error:
-        return Finding(
-            name="interfaces", state="missing", detail=str(error), remedy="make setup", without="no node can start"
-        )
+        without = "no node can start"
+        return _rated("interfaces", False, str(error), "missing", remedy="make setup", without=without)
 
 
 def _compiler() -> Finding:
     compiler = shutil.which(os.environ.get("CC", "cc")) or shutil.which("gcc") or shutil.which("clang")
     header = Path(sysconfig.get_paths()["include"], "Python.h")
-    absent = [what for what, there in (("a C compiler", compiler), ("Python.h", header.is_file())) if not there]
-    return Finding(
-        name="compiler",
-        state="warning" if absent else "ok",
-        detail=f"{compiler or 'no C compiler'}, {header if header.is_file() else 'no Python.h'}",
-        remedy="apt install build-essential python3.11-dev",
+    detail = f"{compiler or 'no C compiler'}, {header if header.is_file() else 'no Python.h'}"
+    return _rated(
+        "compiler", bool(compiler) and header.is_file(), detail, remedy="apt install build-essential python3.11-dev",
         without="everything works until an interface file changes",
-    )
+    )  # fmt: skip
 
 
 OPTIONAL_RENDERERS = {"photo"}
@@ -154,13 +154,8 @@ def _plugins() -> Finding:
     registries: tuple[Registry[Any], ...] = (SKILLS, COMPONENTS, POLICIES, RENDERERS, RECORDED_PARAMETERS)
     broken = [f"{r.kind} '{name}': {what}" for r in registries for name, what in r.broken.items()]
     counts = ", ".join(f"{len(r)} of kind {r.kind}" for r in registries)
-    return Finding(
-        name="plug-ins",
-        state="warning" if broken else "ok",
-        detail="; ".join(broken) or counts,
-        remedy="repair or uninstall the distributions that they come from",
-        without="everything else works",
-    )
+    remedy = "repair or uninstall the distributions that they come from"
+    return _rated("plug-ins", not broken, "; ".join(broken) or counts, remedy=remedy, without="everything else works")
 
 
 def _renderers() -> Finding:
@@ -169,42 +164,31 @@ def _renderers() -> Finding:
     found = available_renderers(name for name in RENDERERS if name not in OPTIONAL_RENDERERS)
     detail = "; ".join(f"{name}: {status.detail}" for name, status in found.items())
     absent = [name for name, status in found.items() if not status.available]
-    return Finding(
-        name="renderers",
-        state="missing" if len(absent) == len(found) else "warning" if absent else "ok",
-        detail=detail,
+    return _rated(
+        "renderers", not absent, detail, "missing" if len(absent) == len(found) else "warning",
         remedy="on Debian and Ubuntu: apt install libegl1 libgl1-mesa-dri",
         without="use -p sim:renderer:=tiny -p tasks:visible_renderer:=tiny: PyBullet's own, slower and plainer",
-    )
+    )  # fmt: skip
 
 
 def _photo() -> Finding:
     from roboxim_sim.rendering import available_renderers
 
     status = available_renderers(["photo"])["photo"]
-    return Finding(
-        name="renderer photo",
-        state="ok" if status.available else "absent",
-        detail=status.detail,
-        remedy="make photo",
-        purpose="rendering recorded episodes again with Blender (roboxim rerender --renderer photo)",
-    )
+    purpose = "rendering recorded episodes again with Blender (roboxim rerender --renderer photo)"
+    return _rated(
+        "renderer photo", status.available, status.detail, "absent", remedy="make photo", purpose=purpose
+    )  # fmt: skip
 
 
-def _environment(name: str, target: str, purpose: str) -> Callable[[], Finding]:
-    """Return a check of an optional environment under ``.tools/`` that a make target installs."""
-
-    def check() -> Finding:
-        folder = Path(sys.prefix).parent / ".tools" / f"{name}-env"
-        return Finding(
-            name=name,
-            state="ok" if folder.is_dir() else "absent",
-            detail=str(folder) if folder.is_dir() else "not installed",
-            remedy=f"make {target}",
-            purpose=purpose,
-        )
-
-    return check
+def _verify_rlds() -> Finding:
+    """Check the optional environment of ``make verify-rlds``."""
+    folder = Path(sys.prefix).parent / ".tools" / "verify-rlds-env"
+    there = folder.is_dir()
+    return _rated(
+        "verify-rlds", there, str(folder) if there else "not installed", "absent",
+        remedy="make verify-rlds DATASET=...", purpose="reading an exported dataset with TensorFlow Datasets",
+    )  # fmt: skip
 
 
 def _shared_memory() -> Finding:
@@ -212,16 +196,15 @@ def _shared_memory() -> Finding:
 
     fault = fault_of_folder()
     if fault is not None:
-        return Finding(name="shared memory", state="missing", detail=fault, without="no graph can start")
+        return _rated("shared memory", False, fault, "missing", without="no graph can start")
     usage = shutil.disk_usage(FOLDER)
     left = sum(1 for _ in FOLDER.glob("fastrtps_*"))
-    return Finding(
-        name="shared memory",
-        state="ok" if usage.free >= 32 * MIB else "warning",
-        detail=f"{usage.free / MIB:.1f} MiB of {usage.total / MIB:.1f} MiB free, {left} files of Fast DDS",
+    detail = f"{usage.free / MIB:.1f} MiB of {usage.total / MIB:.1f} MiB free, {left} files of Fast DDS"
+    return _rated(
+        "shared memory", usage.free >= 32 * MIB, detail,
         remedy="with no ROS process alive: fastdds shm clean; in Docker: --shm-size=512m",
         without=f"at most {usage.free // NEEDED_BYTES} processes with nodes can run at a time",
-    )
+    )  # fmt: skip
 
 
 def _terminal() -> Finding:
@@ -232,7 +215,7 @@ def _terminal() -> Finding:
     left_out = os.environ.get(LEFT_OUT, "").split(os.pathsep)
     others = f"another ROS is left out: {', '.join(left_out)}" if any(left_out) else "no other ROS in it"
     logs = os.environ.get("ROS_LOG_DIR")
-    return Finding(name="terminal", state="ok", detail=others + (f"; logs of ROS in {logs}" if logs else ""))
+    return _rated("terminal", True, others + (f"; logs of ROS in {logs}" if logs else ""))
 
 
 def _graph() -> Finding:
@@ -260,65 +243,46 @@ def _graph() -> Finding:
             server.add(probe)
             clients.call(Empty, "probe", Empty.Request(), timeout_s=60)
     except RoboximError as error:
-        return Finding(
-            name="graph",
-            state="missing",
-            detail=str(error),
-            remedy="see what the message says; in a container, share /dev/shm with the other processes (--ipc)",
-            without="nodes do not discover each other",
-        )
-    return Finding(name="graph", state="ok", detail=f"first answer after {time.monotonic() - started:.2f} s")
+        remedy = "see what the message says; in a container, share /dev/shm with the other processes (--ipc)"
+        without = "nodes do not discover each other"
+        return _rated("graph", False, str(error), "missing", remedy=remedy, without=without)
+    return _rated("graph", True, f"first answer after {time.monotonic() - started:.2f} s")
 
 
 def _network() -> Finding:
-    wide = os.environ.get("ROBOXIM_TRANSPORT") == "network"
-    return Finding(
-        name="who can reach a graph",
-        state="warning" if wide else "ok",
-        detail="every host and user that reaches this machine can call every service and read every topic"
-        if wide
-        else f"processes of user {user_name()} on this machine, and its superuser; no other user, no other host",
-        remedy="unset ROBOXIM_TRANSPORT",
-    )
+    name, remedy = "who can reach a graph", "unset ROBOXIM_TRANSPORT"
+    if os.environ.get("ROBOXIM_TRANSPORT") == "network":
+        detail = "every host and user that reaches this machine can call every service and read every topic"
+        return _rated(name, False, detail, remedy=remedy)
+    detail = f"processes of user {user_name()} on this machine, and its superuser; no other user, no other host"
+    return _rated(name, True, detail)
 
 
 def _cores() -> Finding:
     cores = len(os.sched_getaffinity(0))
-    return Finding(
-        name="cores",
-        state="ok" if cores >= 2 else "warning",
-        detail=f"{cores} usable; a good --workers is {max(1, cores)}",
-        without="everything works, at half the speed",
-    )
+    detail = f"{cores} usable; a good --workers is {max(1, cores)}"
+    return _rated("cores", cores >= 2, detail, without="everything works, at half the speed")
 
 
 def _memory() -> Finding:
     lines = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
     free = int(lines["MemAvailable"].split()[0]) * 1024
-    return Finding(
-        name="memory",
-        state="ok" if free > 2 * GIB else "warning",
-        detail=f"{free / GIB:.1f} GiB available; a worker needs about 0.5 GiB",
-        remedy="use fewer workers",
-    )
+    detail = f"{free / GIB:.1f} GiB available; a worker needs about 0.5 GiB"
+    return _rated("memory", free > 2 * GIB, detail, remedy="use fewer workers")
 
 
 def _disk() -> Finding:
     free = shutil.disk_usage(Path.cwd()).free
-    return Finding(
-        name="disk",
-        state="ok" if free > 2 * GIB else "warning",
-        detail=f"{free / GIB:.1f} GiB free in {Path.cwd()}",
-        remedy="free some space, or write elsewhere with --out",
-        without="long recordings end with the error DISK",
-    )
+    detail = f"{free / GIB:.1f} GiB free in {Path.cwd()}"
+    remedy, without = "free some space, or write elsewhere with --out", "long recordings end with the error DISK"
+    return _rated("disk", free > 2 * GIB, detail, remedy=remedy, without=without)
 
 
 def _runs() -> Finding:
     from roboxim_ros.runs import live_runs, runtime_dir
 
     runs = live_runs()
-    return Finding(name="runs", state="ok", detail=f"{len(runs)} alive; registered in {runtime_dir()}")
+    return _rated("runs", True, f"{len(runs)} alive; registered in {runtime_dir()}")
 
 
 CHECKS: tuple[Callable[[], Finding], ...] = (
@@ -327,7 +291,7 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     _interfaces,
     _libraries,
     _compiler,
-    _environment("verify-rlds", "verify-rlds DATASET=...", "reading an exported dataset with TensorFlow Datasets"),
+    _verify_rlds,
     _terminal,
     _shared_memory,
     _network,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import socket
 from collections.abc import Mapping
@@ -30,9 +29,9 @@ PLANTED_RATES: Mapping[str, float] = {"leave_out": 0.4, "baseline": 0.9, "blind"
 
 def recordings(run: Path) -> dict[str, str]:
     """Return the hash of every recording in a run's folder, by its path."""
-    return {
-        str(path.relative_to(run)): hashlib.sha256(path.read_bytes()).hexdigest() for path in run.rglob("*/*/*.mcap")
-    }
+    from roboxim_runs.storage.store import file_sha256
+
+    return {str(path.relative_to(run)): file_sha256(path) for path in run.rglob("*/*/*.mcap")}
 
 
 def repeatable_results(run: Path) -> list[dict[str, Any]]:

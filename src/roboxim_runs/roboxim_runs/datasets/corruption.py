@@ -37,7 +37,7 @@ from roboxim_runs.executors import Cancellation
 from roboxim_runs.storage.folder import checked_path
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class FaultKind:
     """A fault that can be planted."""
 
@@ -55,24 +55,18 @@ class FaultKind:
 
 def fault_kinds() -> dict[str, FaultKind]:
     """Return every fault that can be planted, by name."""
-    found = {
-        "clock": FaultKind(name="clock", title="a tick that is 4 ms late", found_by="clock", bags=True, datasets=False),
-        "duplicate": FaultKind(
-            name="duplicate", title="an episode twice", found_by="duplicate", bags=True, datasets=True
-        ),
-        "split_leak": FaultKind(
-            name="split_leak", title="a training episode in val, too", found_by="split_leak", bags=False, datasets=True
-        ),
-    }
+    found = [
+        FaultKind("clock", "a tick that is 4 ms late", "clock", bags=True, datasets=False),
+        FaultKind("duplicate", "an episode twice", "duplicate", bags=True, datasets=True),
+        FaultKind("split_leak", "a training episode in val, too", "split_leak", bags=False, datasets=True),
+    ]
     for name in DATASET_FAULTS:
         edit = DATASET_FAULTS[name]
-        found[name] = FaultKind(
-            name=name, title=edit.title, found_by=edit.found_by, bags=edit.keeps_length, datasets=True
-        )
+        found.append(FaultKind(name, edit.title, edit.found_by, bags=edit.keeps_length, datasets=True))
     for name in SIMULATED_FAULTS:
         fault = SIMULATED_FAULTS[name]
-        found[name] = FaultKind(name=name, title=fault.title, found_by=fault.found_by, bags=True, datasets=False)
-    return dict(sorted(found.items()))
+        found.append(FaultKind(name, fault.title, fault.found_by, bags=True, datasets=False))
+    return {kind.name: kind for kind in sorted(found, key=lambda kind: kind.name)}
 
 
 @dataclass(frozen=True, kw_only=True)

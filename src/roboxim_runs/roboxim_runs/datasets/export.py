@@ -70,7 +70,7 @@ def trainer_options(trainer: str, form: str, given: Mapping[str, str]) -> dict[s
 
 
 def export_dataset(
-    name: str,
+    format: str,
     source: Path | str | Sequence[Path | str],
     target: Path | str,
     config: Selection | None = None,
@@ -90,7 +90,7 @@ def export_dataset(
     dataset's `REPLAY_FILE`.
 
     Args:
-        name: Registered format, e.g. ``rlds``.
+        format: Registered format, e.g. ``rlds``.
         source: A run's folder, a folder of bags, or one bag; or several of them.
         target: Folder to write the dataset into.
         config: Configuration of the format's class; none: the defaults.
@@ -119,7 +119,7 @@ def export_dataset(
             reporter.resumable("the same call or command continues the export"),
             reporter.stage("exporting", unit="episodes") as progress,
         ):
-            return export_bags(name, sources, place, config, if_exists=if_exists, workers=workers, progress=progress)
+            return export_bags(format, sources, place, config, if_exists=if_exists, workers=workers, progress=progress)
 
     def refusal(dataset: Path) -> str:
         from roboxim_runs.datasets.replay_gate import replay_dataset  # imports the simulator

@@ -27,7 +27,6 @@ import numpy as np
 from roboxim_core.actions import ActionArray
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.conventions import Convention
-from roboxim_core.episode import JudgePort
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import distance
@@ -38,9 +37,10 @@ from roboxim_datasets.formats import open_dataset
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import PLACES, REPAIRED
 from roboxim_runs.datasets.action_decoding import ActionDecoder, dataset_convention
-from roboxim_runs.episodes.reexecution import CoreJudge, PhysicsPort, PhysicsSim, execute
+from roboxim_runs.episodes.reexecution import execute
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation, Executor, Job, Work, run_required
+from roboxim_sim.world import World
 
 REQUIRED = 0.95
 """Part of the successes that an export must retain."""
@@ -236,8 +236,7 @@ class ReplayReport:
 def replay_episode(
     episode: Episode,
     bag: BagReader,
-    sim: PhysicsPort,
-    judge: JudgePort,
+    world: World,
     *,
     labels: bool = True,
     convention: Convention | None = None,
@@ -248,8 +247,7 @@ def replay_episode(
     Args:
         episode: The episode, as a trainer reads it.
         bag: The bag that it was exported from.
-        sim: The simulator, free of any lease.
-        judge: The judge.
+        world: The simulator's world, held by no episode.
         labels: Whether to execute the labels too.
         convention: What the actions mean if the episode does not say it; see `dataset_convention`.
         library: Models, to name those that have changed; None: RoboXim's own.
@@ -262,7 +260,7 @@ def replay_episode(
     given = np.stack([step.action for step in steps])
     done = [step.action_executed for step in steps]
     executed = None if any(action is None for action in done) else np.stack([a for a in done if a is not None])
-    replayer = _Replayer(episode, bag, sim, judge, convention)
+    replayer = _Replayer(episode, bag, world, convention)
     first = None if executed is None else replayer.run(executed)
     again = first if executed is not None and np.array_equal(given, executed) else None
     return EpisodeReplay(
@@ -281,11 +279,9 @@ def replay_episode(
 class _Replayer:
     """Executes action streams of one episode."""
 
-    def __init__(
-        self, episode: Episode, bag: BagReader, sim: PhysicsPort, judge: JudgePort, convention: Convention | None
-    ) -> None:
+    def __init__(self, episode: Episode, bag: BagReader, world: World, convention: Convention | None) -> None:
         info = bag.info
-        self._info, self._sim, self._judge = info, sim, judge
+        self._info, self._world = info, world
         self._decoder = ActionDecoder(episode, info.scene, convention)
         self._scene = replace(info.scene, control_rate_hz=self._decoder.rate_hz)
         self._ratio = info.scene.control_rate_hz / self._decoder.rate_hz
@@ -316,7 +312,7 @@ class _Replayer:
                 apart_at = state.seq
 
         execution = execute(
-            self._sim, self._judge, self._info.episode_id, self._info.task, self._scene, following,
+            self._world, self._info.episode_id, self._info.task, self._scene, following,
             semantics=self._decoder.executed, on_state=compare,
         )  # fmt: skip
         return StreamReplay(
@@ -342,13 +338,13 @@ class ReplayWorker:
         self._convention = dataset_convention(_folder(self._dataset))
         self._labels = bool(settings["labels"])
         self._library = ModelLibrary()
-        self._sim, self._judge = PhysicsSim(self._library), CoreJudge()
+        self._world = World(self._library)
 
     def run(self, job: Mapping[str, Any], note: Callable[[Any], None]) -> dict[str, Any]:
         """Replay an episode: ``split``, ``index`` and ``bag``."""
         episode = self._dataset.read(job["split"], job["index"])
         found = replay_episode(
-            episode, BagReader(job["bag"]), self._sim, self._judge, labels=self._labels,
+            episode, BagReader(job["bag"]), self._world, labels=self._labels,
             convention=self._convention, library=self._library,
         )  # fmt: skip
         plain: dict[str, Any] = to_plain(replace(found, split=job["split"], index=job["index"]))
@@ -356,7 +352,7 @@ class ReplayWorker:
 
     def close(self) -> None:
         """Disconnect from the physics server."""
-        self._sim.close()
+        self._world.close()
 
 
 def _folder(dataset: Dataset) -> Path:

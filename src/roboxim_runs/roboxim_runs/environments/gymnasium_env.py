@@ -41,31 +41,14 @@ class RoboXimEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - Gymnasium's own declaration
 
-    def __init__(
-        self,
-        task: str = "pick_cube",
-        *,
-        size: int | tuple[int, int] = 0,
-        control: str = ControlMode.END_EFFECTOR_DELTA,
-        rate: float = 0.0,
-        max_steps: int = 0,
-        purpose: str = "eval",
-        renderer: str = "raster",
-        out: str = "",
-        render_mode: str | None = None,
-    ) -> None:
-        """Read the task. Arguments as the fields of `SessionConfig`.
+    def __init__(self, task: str = "pick_cube", *, render_mode: str | None = None, **options: Any) -> None:
+        """Read the task.
 
         Args:
             task: Task of ``config/tasks``, or a YAML file.
-            size: Image size [px].
-            control: Control mode of the actions: one in joint space, or ``end_effector_delta``.
-            rate: Control rate [Hz].
-            max_steps: Actions per episode.
-            purpose: Purpose of the scenes.
-            renderer: Renderer by name.
-            out: Folder for bags.
             render_mode: ``rgb_array``: `render` returns all cameras side by side.
+            **options: Further fields of `SessionConfig`: ``size``, ``control``, ``rate``, ``max_steps``, ``purpose``,
+                ``renderer`` and ``out``.
 
         Raises:
             ConfigError: When the task cannot be used, or the process was forked.
@@ -73,22 +56,9 @@ class RoboXimEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"unknown render_mode '{render_mode}'; expected 'rgb_array' or None")
         self.render_mode = render_mode
-        self.session = EpisodeSession(
-            SessionConfig(
-                task=task,
-                size=size,
-                control=control,
-                rate=rate,
-                max_steps=max_steps,
-                purpose=purpose,
-                renderer=renderer,
-                out=out,
-            )  # fmt: skip
-        )
-        self.metadata = {
-            **self.metadata,
-            "render_fps": max(round(self.session.rate_hz), 1),
-        }  # whole, as video writers want
+        self.session = EpisodeSession(SessionConfig(task=task, **options))
+        fps = max(round(self.session.rate_hz), 1)  # whole, as video writers want
+        self.metadata = {**self.metadata, "render_fps": fps}
         self.task_description = ""
         """Instruction of the running episode."""
         self._run_seed, self._index = 0, -1

@@ -6,7 +6,6 @@ import multiprocessing
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -114,7 +113,8 @@ class EpisodeSession:
             ConfigError: When there is no such task, its cells have different cameras or robots, or the process was
                 forked.
         """
-        _require_not_forked(multiprocessing.current_process())
+        if type(multiprocessing.current_process()).__name__ == "ForkProcess":
+            raise _forked("this process was started by fork")
         self.config = config
         self._text = task_text(config.task)
         parsed = parse_task_config(self._text)
@@ -254,17 +254,13 @@ class EpisodeSession:
         for cell in self._cells:
             reset: Any = cell.reset.get("cameras")
             scene = load_config(named_config("scenes", cell.scene), SceneSpec)
-            cameras = {camera.name: (camera.width, camera.height) for camera in scene.cameras}
+            views = {camera.name: [camera] for camera in scene.cameras}
             if reset:
-                cameras = {}
-                for name in reset.names:
-                    views = reset.views[name].values if name in reset.views else (name,)
-                    for spec in (load_camera(str(view)) for view in views):
-                        found.setdefault(name, set()).add((spec.width, spec.height))
-                        cameras[name] = (spec.width, spec.height)
-            for name, size in cameras.items():
-                found.setdefault(name, set()).add(size)
-            names.add(tuple(cameras))
+                files = {name: reset.views[name].values if name in reset.views else (name,) for name in reset.names}
+                views = {name: [load_camera(str(file)) for file in mine] for name, mine in files.items()}
+            for name, cameras in views.items():
+                found.setdefault(name, set()).update((camera.width, camera.height) for camera in cameras)
+            names.add(tuple(views))
         if len(names) != 1:
             raise ConfigError(f"the cells of the task have different cameras ({sorted(names)}); choose a single task")
         width, height = self.config.image_size
@@ -276,11 +272,6 @@ class EpisodeSession:
     def _require_here(self) -> None:
         if os.getpid() != self._pid:
             raise _forked("this session was made before the process was forked")
-
-
-def _require_not_forked(process: BaseProcess) -> None:
-    if type(process).__name__ == "ForkProcess":
-        raise _forked("this process was started by fork")
 
 
 def _forked(what: str) -> ConfigError:

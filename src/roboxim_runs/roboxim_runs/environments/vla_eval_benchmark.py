@@ -218,18 +218,12 @@ class RoboXimBenchmark(StepBenchmark):  # type: ignore[misc]  # vla-eval has no 
         return GRIPPER_CLOSE_POS if gripper.closed > gripper.open else GRIPPER_CLOSE_NEG
 
     def _make_session(self, task: str) -> EpisodeSession:
-        return EpisodeSession(
-            SessionConfig(
-                task=task,
-                semantics=self._convention.semantics,
-                gripper=self._convention.action.gripper.rule,
-                lag=self._convention.action.lag,
-                cameras=self._convention.cameras,
-                max_steps=self._max_steps,
-                renderer=self._renderer,
-                out=self._out,
-            )  # fmt: skip
-        )
+        convention = self._convention
+        return EpisodeSession(SessionConfig(
+            task=task, semantics=convention.semantics, gripper=convention.action.gripper.rule,
+            lag=convention.action.lag, cameras=convention.cameras, max_steps=self._max_steps, renderer=self._renderer,
+            out=self._out,
+        ))  # fmt: skip
 
 
 def _declared(convention: str) -> Convention:

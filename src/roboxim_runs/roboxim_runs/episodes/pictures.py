@@ -36,11 +36,6 @@ def film(bag: Path, every: int = 2) -> list[npt.NDArray[np.uint8]]:
     return frames
 
 
-def drawn_by_name(bag: Path) -> dict[str, str]:
-    """Return the named draws of the reset components in a bag's episode, e.g. the interaction area."""
-    return BagReader(bag).info.task.drawn
-
-
 def contact_sheet(films: Sequence[Sequence[npt.NDArray[np.uint8]]], columns: int = 6) -> npt.NDArray[np.uint8]:
     """Return films below one another, each as a strip of frames from its start to its end.
 

@@ -1,85 +1,26 @@
 """Executes actions again from an episode's restored scene, as the episode loop would, and judges them.
 
-`PhysicsSim` and `CoreJudge` serve the ports without a node graph and without cameras, which no verdict needs.
+There is no node graph, and there are no cameras, which no verdict needs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from roboxim_core.actions import ActionArray, ActionSemantics
-from roboxim_core.episode import EpisodeInfo, JudgePort
+from roboxim_core.episode import EpisodeInfo
 from roboxim_core.episode.acting import holding_action
 from roboxim_core.episode.runner import LEFT_WORKSPACE, SETTLE_S
-from roboxim_core.models.library import ModelLibrary
 from roboxim_core.rates import ticks
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
 from roboxim_sim.world import World
 from roboxim_tasks.judging import Judge
-
-
-class PhysicsPort(Protocol):
-    """The part of `roboxim_core.episode.SimPort` that execution needs."""
-
-    def load(self, episode_id: str, scene: SceneSpec, semantics: ActionSemantics) -> StateRecord:
-        """Rebuild the world for actions of a meaning, let it settle, and return tick 0."""
-        ...
-
-    def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
-        """Execute one action."""
-        ...
-
-    def release(self, episode_id: str) -> None:
-        """Release the episode's lease of the sim."""
-        ...
-
-
-class PhysicsSim:
-    """The simulator's world without cameras."""
-
-    def __init__(self, library: ModelLibrary | None = None) -> None:
-        """Make the world; use it from one thread at a time."""
-        self.world = World(library)
-
-    def load(self, episode_id: str, scene: SceneSpec, semantics: ActionSemantics | None = None) -> StateRecord:
-        """Rebuild the world for actions of a meaning, the default unless given: tick 0."""
-        return self.world.load(scene, episode_id, semantics)
-
-    def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
-        """Execute an action."""
-        return self.world.tick(seq, action, episode_id=episode_id)
-
-    def release(self, episode_id: str) -> None:
-        """Give the lease back."""
-        self.world.release(episode_id)
-
-    def close(self) -> None:
-        """Disconnect from the physics server."""
-        self.world.close()
-
-
-class CoreJudge:
-    """The judge's core."""
-
-    def __init__(self) -> None:
-        """Make a judge without an episode."""
-        self._judge: Judge | None = None
-
-    def start(self, episode_id: str, task: TaskSpec, state: StateRecord) -> Verdict:
-        """Start a fold."""
-        self._judge = Judge(task)
-        return self._judge.start(state)
-
-    def judge(self, state: StateRecord) -> Verdict:
-        """Judge the next tick."""
-        assert self._judge is not None, "start comes first"
-        return self._judge.step(state)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,8 +42,7 @@ NextAction = Callable[[StateRecord], ActionArray | None]
 
 
 def execute(
-    sim: PhysicsPort,
-    judge: JudgePort,
+    world: World,
     episode_id: str,
     task: TaskSpec,
     scene: SceneSpec,
@@ -115,8 +55,7 @@ def execute(
     """Execute actions from a scene until success, failure or the last action, then hold still and judge.
 
     Args:
-        sim: The simulator, free of any lease.
-        judge: The judge.
+        world: The simulator's world, held by no episode.
         episode_id: Id to run under.
         task: The task to judge.
         scene: The scene; its control rate is that of the actions.
@@ -129,9 +68,10 @@ def execute(
         RoboximError: When the sim rejects a request, or an action is not valid.
     """
     semantics = semantics or ActionSemantics(rate_hz=scene.control_rate_hz)
+    judge = Judge(task)
     try:
-        state = sim.load(episode_id, scene, semantics)
-        verdict = judge.start(episode_id, task, state)
+        state = world.load(scene, episode_id, semantics)
+        verdict = judge.start(state)
         on_state(state)
         steps = 0
         while to_the_end or not (verdict.success or verdict.failed):
@@ -140,15 +80,15 @@ def execute(
             action = next_action(state)
             if action is None:
                 break
-            state = sim.tick(episode_id, state.seq + 1, action)
-            verdict = judge.judge(state)
+            state = world.tick(state.seq + 1, action, episode_id=episode_id)
+            verdict = judge.step(state)
             on_state(state)
             steps += 1
         for _ in range(ticks(SETTLE_S, scene.control_rate_hz)):
-            state = sim.tick(episode_id, state.seq + 1, holding_action(state, semantics))
-            verdict = judge.judge(state)
+            state = world.tick(state.seq + 1, holding_action(state, semantics), episode_id=episode_id)
+            verdict = judge.step(state)
     finally:
-        sim.release(episode_id)
+        world.release(episode_id)
     reason = "" if verdict.success else verdict.reason or "not_solved"
     return Execution(success=verdict.success, reason=reason, steps=steps, verdict=verdict)
 
@@ -176,12 +116,9 @@ def rejudge(info: EpisodeInfo, states: Sequence[StateRecord]) -> Verdict | None:
             return None
         return np.array(states[after].action_executed, np.float32)
 
-    sim = PhysicsSim()
-    try:
+    with closing(World()) as world:
         execution = execute(
-            sim, CoreJudge(), info.episode_id, info.task, info.scene, recorded, semantics=info.semantics,
-            on_state=compare, to_the_end=True,
+            world, info.episode_id, info.task, info.scene, recorded, semantics=info.semantics, on_state=compare,
+            to_the_end=True,
         )  # fmt: skip
-    finally:
-        sim.close()
     return execution.verdict if same else None

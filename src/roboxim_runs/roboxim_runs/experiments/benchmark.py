@@ -11,7 +11,7 @@ from pathlib import Path
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.differences import differences
-from roboxim_core.plain_data.documents import parse_json, read_text
+from roboxim_core.plain_data.documents import read_json
 from roboxim_core.whole_files import write_whole
 from roboxim_eval.benchmark.card import BenchmarkCard, check_benchmark_card, concluded_benchmark
 from roboxim_eval.benchmark.config import BenchmarkConfig, experiment_changes
@@ -194,7 +194,7 @@ def _policies_of(experiment: str, policies: Mapping[str, PolicySpec]) -> dict[st
 def _require_same(path: Path, state: Mapping[str, str]) -> None:
     if not path.exists():
         return
-    stored = parse_json(read_text(path), source=str(path))
+    stored = read_json(path)
     for key, value in state.items():
         if stored.get(key) != value:
             raise ConfigError(
@@ -212,7 +212,7 @@ def benchmark_card(out: Path) -> BenchmarkCard:
     path = out / STATE_FILE
     if not path.exists():
         raise ConfigError(f"{out} is not the folder of a benchmark: it has no {STATE_FILE}")
-    stored = parse_json(read_text(path), source=str(path))
+    stored = read_json(path)
     benchmark = load_benchmark(stored["benchmark"])
     cards = {name: _card_of(out / name) for name in benchmark.experiments}
     return concluded_benchmark(BenchmarkCard(
@@ -261,7 +261,7 @@ def benchmark_reproduction(out: Path, experiments: Iterable[str]) -> str:
         out: The benchmark's folder.
         experiments: Its experiments; those that ran elsewhere enter by their cards.
     """
-    stored = parse_json(read_text(out / STATE_FILE), source=STATE_FILE)
+    stored = read_json(out / STATE_FILE)
     words = ["roboxim", "benchmark", stored["benchmark"], "--scale", stored["scale"], "--out", out.name]
     words += ["--trainer", stored["trainer"]] if stored.get("trainer") else []
     here = {name: ExperimentFolder.of(out / name) for name in experiments if not _only_card(out / name)}
@@ -278,4 +278,4 @@ def stored_benchmark_card(path: Path) -> BenchmarkCard:
     Raises:
         ConfigError: When it is no benchmark's card, or was changed.
     """
-    return check_benchmark_card(parse_json(read_text(path), source=str(path)), source=str(path))
+    return check_benchmark_card(read_json(path), source=str(path))

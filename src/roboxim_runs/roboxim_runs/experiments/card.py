@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
-from roboxim_core.plain_data.documents import parse_json, read_text
+from roboxim_core.plain_data.documents import read_json
 from roboxim_core.seeds import CELL, CELL_NUMBER
 from roboxim_eval.experiments import Design, Stage, chosen, stages_of
 from roboxim_eval.experiments.card import (
@@ -32,11 +31,13 @@ from roboxim_eval.experiments.card import (
     sha256_of,
 )
 from roboxim_eval.experiments.card_checks import concluded
+from roboxim_runs.executors.protocol import as_json
+from roboxim_runs.experiments.delivery.demands import task_mix_of
 from roboxim_runs.experiments.files import trainer_name
 from roboxim_runs.experiments.provenance import Attestations, Origin, device, origin_statements
 from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.storage.results_log import ResultsLog
-from roboxim_tasks.config import TaskMix, task_mix
+from roboxim_tasks.config import TaskMix
 
 CARD_FILE = "card.json"
 STAGES_FILE = "stages.jsonl"
@@ -72,11 +73,11 @@ def results_of(design: Design, out: Path) -> dict[str, dict[Scene, EpisodeResult
         ConfigError: When an evaluation is not finished, or its results are damaged.
     """
     found = {}
-    excluded = _excluded(out)
+    excluded = _stored(out / EXCLUDED_FILE, dict[str, tuple[int, ...]], {})
     for stage in stages_of(design):
         if stage.kind == "evaluate":
             folder = evaluation_folder(out, stage.name)
-            by_scene = _by_scene(_task_mix(json.dumps(stage.inputs["mix"])), RunFolder(folder).results())
+            by_scene = _by_scene(task_mix_of(json.dumps(stage.inputs["mix"])), RunFolder(folder).results())
             if len(by_scene) != stage.inputs["episodes"]:
                 raise ConfigError(
                     f"{folder} has {len(by_scene)} of {stage.inputs['episodes']} rollouts; run the experiment again"
@@ -86,20 +87,9 @@ def results_of(design: Design, out: Path) -> dict[str, dict[Scene, EpisodeResult
     return found
 
 
-def _excluded(out: Path) -> dict[str, tuple[int, ...]]:
-    path = out / EXCLUDED_FILE
-    if not path.exists():
-        return {}
-    found: dict[str, tuple[int, ...]] = from_plain(
-        parse_json(read_text(path), source=str(path)), dict[str, tuple[int, ...]], source=str(path)
-    )
-    return found
-
-
-@lru_cache(maxsize=16)
-def _task_mix(text: str) -> TaskMix:
-    """Return the task mix of a JSON text; replicates and conditions share theirs."""
-    return task_mix(json.loads(text))
+def _stored(file: Path, kind: Any, otherwise: Any) -> Any:
+    """Return what a stage has stored in a file; the other value when there is no file."""
+    return from_plain(read_json(file), kind, source=str(file)) if file.exists() else otherwise
 
 
 def _by_scene(mix: TaskMix, results: Sequence[EpisodeResult]) -> dict[Scene, EpisodeResult]:
@@ -136,7 +126,7 @@ def collect_card(
     origin = _origin_of_evaluations([origins[s.name] for s in finished if s.kind == "evaluate"], renderer, out)
     card = Card(
         experiment=CardExperiment(
-            name=name, scale=scale, thesis=config.thesis, sha256=sha256_of(_plain(to_plain(config))),
+            name=name, scale=scale, thesis=config.thesis, sha256=sha256_of(as_json(to_plain(config))),
             trainer=trainer_name(config, trainer), deviations=config.deviations, config=config,
         ),
         code=origin.code,
@@ -152,9 +142,11 @@ def collect_card(
             for number, compare in enumerate(config.compare)
             if not compare.against
         },
-        judged_again=_judged(out),
-        proofs=_proofs(out),
-        statements=(*_statements(out), *origin_statements(origins, drawn)),
+        judged_again=_stored(out / JUDGED_FILE, tuple[JudgedAgain, ...], None),
+        proofs=_stored(out / PROOFS_FILE, dict[str, tuple[int, int]], {}),
+        statements=(
+            *_stored(out / STATEMENTS_FILE, tuple[str, ...], ()), *origin_statements(origins, drawn)
+        ),
         times={  # the log has them in the order in which they ended
             stage.name: float(products[stage.name].get("wall_s", 0.0)) for stage in finished
         },
@@ -176,7 +168,7 @@ def _origin_of_evaluations(evaluations: Sequence[Origin | None], renderer: str, 
         return known[-1]
     path = out / CARD_FILE
     try:
-        card = parse_card(parse_json(read_text(path), source=str(path)), source=str(path)) if path.exists() else None
+        card = parse_card(read_json(path), source=str(path)) if path.exists() else None
     except ConfigError:  # of another schema, or damaged: this call writes it anew
         card = None
     if card is None:
@@ -211,7 +203,7 @@ def stage_name(condition: str, replicate: int, checkpoint: int = 0) -> str:
 def results_sha256(rows: Mapping[Scene, EpisodeResult]) -> str:
     """Return the hash of an evaluation's results without their wall times."""
     plain = [to_plain(rows[scene]) for scene in sorted(rows)]
-    return sha256_of(_plain([{key: v for key, v in row.items() if key not in TIMES} for row in plain]))
+    return sha256_of(as_json([{key: v for key, v in row.items() if key not in TIMES} for row in plain]))
 
 
 def _pairs(
@@ -252,41 +244,7 @@ def _trainings(
         )  # fmt: skip
         yield CardTraining(
             condition=training.condition, replicate=training.replicate, dataset=dataset,
-            recipe_sha256=sha256_of(_plain(attest.recipe)), seed=training.seed,
+            recipe_sha256=sha256_of(as_json(attest.recipe)), seed=training.seed,
             steps=training.steps if here else 0,
             checkpoint_sha256=str(products.get(name, {}).get("sha256", "")), attest=attest,
         )  # fmt: skip
-
-
-def _proofs(out: Path) -> dict[str, tuple[int, int]]:
-    path = out / PROOFS_FILE
-    if not path.exists():
-        return {}
-    found: dict[str, tuple[int, int]] = from_plain(
-        parse_json(read_text(path), source=str(path)), dict[str, tuple[int, int]], source=str(path)
-    )
-    return found
-
-
-def _statements(out: Path) -> tuple[str, ...]:
-    path = out / STATEMENTS_FILE
-    if not path.exists():
-        return ()
-    found: tuple[str, ...] = from_plain(
-        parse_json(read_text(path), source=str(path)), tuple[str, ...], source=str(path)
-    )
-    return found
-
-
-def _judged(out: Path) -> tuple[JudgedAgain, ...] | None:
-    path = out / JUDGED_FILE
-    if not path.exists():
-        return None
-    rows: tuple[JudgedAgain, ...] = from_plain(
-        parse_json(read_text(path), source=str(path)), tuple[JudgedAgain, ...], source=str(path)
-    )
-    return rows
-
-
-def _plain(value: Any) -> Any:
-    return json.loads(json.dumps(value))

@@ -9,13 +9,13 @@ from typing import Any
 from roboxim_core.config import to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.differences import differences
-from roboxim_core.plain_data.documents import parse_json, read_text
+from roboxim_core.plain_data.documents import read_json
 from roboxim_eval.experiments import ExperimentConfig, Stage
+from roboxim_runs.executors.protocol import as_json
 from roboxim_runs.experiments.card import CARD_FILE, DRAWING, STAGES_FILE
 from roboxim_runs.experiments.definitions import changed_definitions, changed_policy
 from roboxim_runs.experiments.provenance import Origin
 from roboxim_runs.experiments.report import STATE_FILE
-from roboxim_runs.experiments.stages import plain
 from roboxim_runs.policies.specs import PolicySpec
 from roboxim_runs.storage.results_log import ResultsLog
 
@@ -26,7 +26,7 @@ DECIDING = ("replicates", "compare", "decide")
 def state_of(folder: Path) -> dict[str, Any]:
     """Return the content of a folder's ``experiment.json``; empty: it has none."""
     file = folder / STATE_FILE
-    stored = parse_json(read_text(file), source=str(file)) if file.exists() else {}
+    stored = read_json(file) if file.exists() else {}
     return stored if isinstance(stored, dict) else {}
 
 
@@ -106,6 +106,6 @@ def changed_after_results(out: Path, stored: Mapping[str, Any], config: Experime
     """
     if not stored or not (out / CARD_FILE).exists():
         return []
-    before, now = ({key: one.get(key) for key in DECIDING} for one in (stored["config"], plain(to_plain(config))))
+    before, now = ({key: one.get(key) for key in DECIDING} for one in (stored["config"], as_json(to_plain(config))))
     changed = differences(before, now)
     return [f"changed after results were seen: {changed}; p values are not adjusted for that"] if changed else []

@@ -28,11 +28,11 @@ from roboxim_eval.experiments import stages_of
 from roboxim_policies.bc.checkpoint_file import checkpoint_file, read_description
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
 from roboxim_runs.experiments.card import STAGES_FILE
-from roboxim_runs.experiments.provenance import file_sha256
 from roboxim_runs.experiments.report import STATE_FILE as EXPERIMENT_FILE
 from roboxim_runs.experiments.report import ExperimentFolder
 from roboxim_runs.storage.folder import make_folder
 from roboxim_runs.storage.results_log import ResultsLog
+from roboxim_runs.storage.store import file_sha256
 
 BENCHMARK_FILE = "benchmark.json"
 MANIFEST = "pack.json"

@@ -19,9 +19,9 @@ from roboxim_core.config import from_plain, load_yaml
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments import Design
 from roboxim_eval.experiments.card import ARGUMENTS, Attestation, CardCode, sha256_of
+from roboxim_runs.storage.store import file_sha256
 
 ATTEST_FILE = "attest.yaml"
-BLOCK = 1 << 20
 ORIGIN = "ran"
 """Key of a line of ``stages.jsonl`` with what the stage ran with, an `Origin`."""
 UNSAID = ("", 0, None)
@@ -166,15 +166,6 @@ def folder_sha256(folder: Path) -> str:
         parts = file.relative_to(folder).parts
         if file.is_file() and not any(part.startswith(".") for part in parts):
             content.update(f"{'/'.join(parts)}\0{file_sha256(file)}\n".encode())
-    return content.hexdigest()
-
-
-def file_sha256(file: Path) -> str:
-    """Return the hash of a file's content."""
-    content = hashlib.sha256()
-    with file.open("rb") as stream:
-        while block := stream.read(BLOCK):
-            content.update(block)
     return content.hexdigest()
 
 

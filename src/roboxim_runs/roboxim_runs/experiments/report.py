@@ -13,7 +13,7 @@ from roboxim_bringup.yaml_text import parse
 from roboxim_core.config import from_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
-from roboxim_core.plain_data.documents import parse_json, read_text
+from roboxim_core.plain_data.documents import read_json
 from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Design, ExperimentConfig, stages_of
 from roboxim_eval.experiments.card import SCHEMA, Card
@@ -76,7 +76,7 @@ class ExperimentFolder:
             card = path / CARD_FILE
             hint = f"; its card can be read alone: experiment report --from {card}" if card.exists() else ""
             raise ConfigError(f"{path} is not the folder of an experiment: it has no {STATE_FILE}{hint}")
-        stored = parse_json(read_text(state), source=str(state))
+        stored = read_json(state)
         try:
             config: ExperimentConfig = from_plain(stored["config"], ExperimentConfig, source=str(state))
             trainer, name, scale = stored.get("trainer", ""), Path(stored["experiment"]).stem, stored["scale"]
@@ -101,7 +101,7 @@ def folder_card(folder: ExperimentFolder) -> Card:
         ConfigError: When evaluations are missing, the card was changed, or results have changed since it was written.
     """
     path = folder.path / CARD_FILE
-    stored = parse_json(read_text(path), source=str(path)) if path.exists() else None
+    stored = read_json(path) if path.exists() else None
     if not isinstance(stored, Mapping) or stored.get("schema") != SCHEMA:
         card = collect_card(
             folder.name, folder.scale, folder.design, folder.path, trainer=folder.trainer, renderer=folder.renderer
@@ -126,7 +126,7 @@ def stored_card(path: Path) -> Card:
     Raises:
         ConfigError: When it is no experiment's card, or was changed.
     """
-    return check_card(parse_json(read_text(path), source=str(path)), source=str(path))
+    return check_card(read_json(path), source=str(path))
 
 
 def write_card(card: Card, out: Path) -> None:

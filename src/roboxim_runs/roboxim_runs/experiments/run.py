@@ -30,6 +30,7 @@ from roboxim_eval.experiments import Design, Stage, stages_of
 from roboxim_eval.experiments.card import Card
 from roboxim_runs.events import Notice, OnEvent, ignore
 from roboxim_runs.executors import Cancellation, Executor, KeptProcesses
+from roboxim_runs.executors.protocol import as_json
 from roboxim_runs.experiments.calibration.learned import rates_of_run
 from roboxim_runs.experiments.calibration.rates import store_rates, stored_rates
 from roboxim_runs.experiments.card import (
@@ -64,7 +65,7 @@ from roboxim_runs.experiments.report import (
     write_card,
     write_experiment_report,
 )
-from roboxim_runs.experiments.stages import PROOF_FILE, Stages, plain
+from roboxim_runs.experiments.stages import PROOF_FILE, Stages
 from roboxim_runs.experiments.told_by_scene import told_by_scene
 from roboxim_runs.experiments.trained.policies import (
     is_named,
@@ -268,7 +269,7 @@ class _Run:
         done = {entry.data.get("stage", ""): entry.key for entry in self.log.read()}
         for stage in self.stages:
             if stage.name in done and done[stage.name] != self._key(stage) and stage.part in self.config.only:
-                changed = differences(before.get(stage.name, {}), plain(self._inputs(stage)))
+                changed = differences(before.get(stage.name, {}), as_json(self._inputs(stage)))
                 raise ConfigError(
                     f"{self.out}: stage '{stage.name}' was finished with other inputs "
                     f"({changed or 'of a stage that it needs'}); choose another output folder (--out)"
@@ -284,7 +285,7 @@ class _Run:
         named = {n: p for n, p in finished.items() if is_named(self.design, self._by_name[n], given, trained)}
         require_policies(self.out, named)
         inputs = {
-            stage.name: plain(self._inputs(stage)) for stage in self.stages
+            stage.name: as_json(self._inputs(stage)) for stage in self.stages
             if stage.kind != "evaluate" or self.policies.get(stage.name) or stage.name not in before
         }  # fmt: skip
         content = {
@@ -294,7 +295,7 @@ class _Run:
             "config": to_plain(self.design.config), "definitions": defined, "stages": {**before, **inputs},
             CHANGED: [*stored.get(CHANGED, []), *changed_after_results(self.out, stored, self.design.config)],
         }  # fmt: skip
-        write_whole(self.out / STATE_FILE, json.dumps(plain(content), indent=2) + "\n")
+        write_whole(self.out / STATE_FILE, json.dumps(as_json(content), indent=2) + "\n")
         self._attest()
         pending = [s for s in self.stages if s.name not in self.done and self.wanted(s) and self.ready(s)]
         if not self.config.shard:  # which has a part of the products alone
@@ -323,7 +324,7 @@ class _Run:
         if policy is None and stage.kind == "evaluate":  # not to be run now: what it ran with is unknown
             return next((e.key for e in self.log.read() if e.data.get("stage") == stage.name), "")
         part = {"shard": self.config.shard} if self.config.shard else {}
-        policy_data = plain(to_plain(policy)) if policy else None
+        policy_data = as_json(to_plain(policy)) if policy else None
         return digest({"sha": stage.sha, "name": stage.name, "policy": policy_data, **part})
 
     def collect_proofs(self) -> None:

@@ -30,6 +30,7 @@ from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
 from roboxim_runs.events import Notice, OnEvent
 from roboxim_runs.executors import Cancellation, Executor, KeptProcesses, LocalExecutor
+from roboxim_runs.executors.protocol import as_json
 from roboxim_runs.experiments.card import evaluation_folder
 from roboxim_runs.experiments.delivery.demands import task_mix_of
 from roboxim_runs.experiments.delivery.proving import (
@@ -120,7 +121,7 @@ class Stages:
         """Write a stage's task mix, and return the file."""
         path = self.out / "mixes" / f"{stage.name.replace('/', '-')}.yaml"
         path.parent.mkdir(exist_ok=True)
-        write_whole(path, yaml.safe_dump(plain(stage.inputs["mix"]), sort_keys=False))
+        write_whole(path, yaml.safe_dump(as_json(stage.inputs["mix"]), sort_keys=False))
         return str(path)
 
     # -------------------------------------------------------------- data
@@ -199,7 +200,7 @@ class Stages:
 
     def _prove_training(self, stage: Stage, stages: Mapping[str, Stage]) -> None:
         claims = [self._claim(stages[need]) for need in stage.needs]
-        found = prove_training(claims, plain(stage.inputs["mix"]), stage.inputs["unseen"], self._reading(stage))
+        found = prove_training(claims, as_json(stage.inputs["mix"]), stage.inputs["unseen"], self._reading(stage))
         self._store(stage, found, {}, None, most=0.0)
 
     def _claim(self, export: Stage) -> DatasetClaim:
@@ -231,7 +232,7 @@ class Stages:
         condition, checkpoint = self.design.config.conditions[name], stage.inputs["checkpoint"]
         return ArmClaim(
             condition=f"{name}@{checkpoint}" if checkpoint else name,
-            folder=self._folder(stage.name) / name, mix=plain(stage.inputs["mix"]),
+            folder=self._folder(stage.name) / name, mix=as_json(stage.inputs["mix"]),
             words=condition.instruction, latency_ticks=condition.latency_ticks, changed=changed_parts(condition.set),
         )  # fmt: skip
 
@@ -257,7 +258,7 @@ class Stages:
                 failed[str(run.path / result.bag)] = cell
         generation = stage.name.rpartition(".")[2] if self.design.generations > 1 else "0"
         claim = self._claim(stages[f"export/{first.train}.{generation}"])
-        return judge_again(failed, claim, plain(stage.inputs["mix"]), self._reading(stage))
+        return judge_again(failed, claim, as_json(stage.inputs["mix"]), self._reading(stage))
 
     def _store(
         self,
@@ -299,8 +300,3 @@ class Stages:
         """Return a bag's path relative to the experiment's folder; as it is if it lies elsewhere."""
         path = Path(bag)
         return path.relative_to(self.out).as_posix() if path.is_relative_to(self.out) else bag
-
-
-def plain(value: Any) -> Any:
-    """Return plain data as JSON has it."""
-    return json.loads(json.dumps(value))

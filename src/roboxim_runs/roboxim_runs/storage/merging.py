@@ -7,7 +7,6 @@ result does not count, so a killed merge is repeated by the same command.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 import os
@@ -39,7 +38,7 @@ from roboxim_runs.storage.folder import (
     run_key,
 )
 from roboxim_runs.storage.results_log import KEY
-from roboxim_runs.storage.store import RunUpload, note_stored, stored_bags
+from roboxim_runs.storage.store import RunUpload, file_sha256, note_stored, stored_bags
 
 DEEPEST = 3
 """Levels below a shard's folder at which runs are looked for."""
@@ -217,7 +216,7 @@ class _Episode:
         if self.result.bag in self.stored:
             return {name: facts["sha256"] for name, facts in self.stored[self.result.bag].items()}
         files = sorted((self.run.path / self.result.bag).iterdir())
-        return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+        return {file.name: file_sha256(file) for file in files}
 
 
 @dataclass

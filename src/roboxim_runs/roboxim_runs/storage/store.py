@@ -87,7 +87,7 @@ class Store:
             RecorderError: ``BAG_DAMAGED`` when the store holds something else afterwards.
             UnavailableError: When the store cannot be reached.
         """
-        facts = {"sha256": _sha256(file), "bytes": file.stat().st_size}
+        facts = {"sha256": file_sha256(file), "bytes": file.stat().st_size}
         target = self._place(name)
 
         def upload() -> None:
@@ -126,7 +126,7 @@ class Store:
         partial = file.with_name(f".{file.name}.{secrets.token_hex(4)}.partial")
         try:
             self._tried(f"download {name}", lambda: self._files.get_file(self._place(name), str(partial)))
-            if sha256 and _sha256(partial) != sha256:
+            if sha256 and file_sha256(partial) != sha256:
                 raise RecorderError(
                     f"{self.url}/{name} is not the file that was stored: its SHA-256 differs from {STORED_FILE}; "
                     "restore it, or run the episode again with --repair",
@@ -172,7 +172,8 @@ class Store:
         raise AssertionError("unreachable")
 
 
-def _sha256(file: Path) -> str:
+def file_sha256(file: Path) -> str:
+    """Return the hash of a file's content."""
     with open(file, "rb") as content:
         return hashlib.file_digest(content, "sha256").hexdigest()
 

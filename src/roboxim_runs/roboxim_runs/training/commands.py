@@ -162,7 +162,7 @@ def event_of(data: Any) -> Event | None:
 
 
 class _Shared:
-    """The trainings that run on other machines, and how many ran beside each."""
+    """The trainings that run at a time, and how many ran beside each."""
 
     def __init__(self) -> None:
         self._running: dict[str, list[float]] = {}
@@ -202,27 +202,24 @@ def _run(
     on_trained: Callable[[Trained], None],
 ) -> None:
     """Run trainings; `running` has those that have not ended, also when this raises."""
-    counted = told = time.monotonic()
+    told, shared = time.monotonic(), _Shared()
     while waiting or running:
         while waiting and len(running) < at_once:
             running.append(_Training(waiting.pop(0), out, reporter.on_event))
+            shared.begin(running[-1].stage.name)
         reporter.require_wanted()
         with contextlib.suppress(subprocess.TimeoutExpired):
             running[0].process.wait(POLL_S)
-        now = time.monotonic()
-        for training in running:
-            training.shared_s += (now - max(counted, training.began)) * len(running)
-        counted = now
         ended = [training for training in running if training.process.poll() is not None]
         failed = [training for training in ended if training.process.returncode]
         for training in ended:
             if training not in failed and training.go_on():
                 running.remove(training)
-                on_trained(training.trained(now))
+                on_trained(training.trained(shared.end(training.stage.name)))
         if failed:
             _fail(failed[0], [training for training in running if training not in failed])
-        if now - told >= TELL_S:
-            told = now
+        if time.monotonic() - told >= TELL_S:
+            told = time.monotonic()
             for training in running:
                 training.tell()
 
@@ -254,9 +251,7 @@ class _Training:
         self._folder.parent.mkdir(exist_ok=True)
         self.log = self._folder.with_name(f"{self._folder.name}.log")
         self._reports = TrainerReports(self._folder.with_name(f".{self._folder.name}.events.jsonl"))
-        self._continued, self.began = self._folder.exists(), time.monotonic()
-        self.shared_s = 0.0
-        """Sum of the times of all trainings that ran during this one [s]."""
+        self._continued, self._began = self._folder.exists(), time.monotonic()
         self._done, self._total, self._note = 0, stage.inputs["steps"] or 1, ""
         self._commands = _commands_of(stage, out)
         unit = "steps" if stage.inputs["steps"] else ""
@@ -302,12 +297,14 @@ class _Training:
         if (self._done, self._total, self._note) != before:
             self._on_event(StageProgress(done=self._done, total=self._total, note=self._note, name=self.stage.name))
 
-    def trained(self, now: float) -> Trained:
-        """Return facts about the training, which has ended at a time."""
-        wall_s = now - self.began
-        return Trained(
-            stage=self.stage, wall_s=wall_s, at_once=max(1.0, self.shared_s / wall_s), continued=self._continued
-        )
+    def trained(self, at_once: float) -> Trained:
+        """Return facts about the training, which has just ended.
+
+        Args:
+            at_once: Mean number of trainings that ran during it.
+        """
+        wall_s = time.monotonic() - self._began
+        return Trained(stage=self.stage, wall_s=wall_s, at_once=at_once, continued=self._continued)
 
 
 def _commands_of(stage: Stage, out: Path) -> Iterator[tuple[list[str], Path | None]]:
