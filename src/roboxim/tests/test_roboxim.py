@@ -118,7 +118,7 @@ def test_a_cancelled_run_continues(tmp_path):
     ("fields", "complaint"),
     [
         ({"episode": 3}, "no field 'episode'.*did you mean 'episodes'"),
-        ({"episodes": 0}, "episodes must be >= 1, got 0"),
+        ({"episodes": -1}, "episodes must be >= 0, got -1"),
         ({"episodes": "3"}, "episodes must be a whole number, got '3'"),
         ({"size": 5}, "size must be 16 to 4096 px"),
         ({"size": "128"}, "size must be a whole number or two"),
