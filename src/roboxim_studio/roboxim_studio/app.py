@@ -8,12 +8,14 @@ from typing import Any
 
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
+from roboxim_studio.acting.lab import Lab
 from roboxim_studio.bench import Bench
 from roboxim_studio.episode.film import Film, read_film
 from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.opening import Kind, Opened
 from roboxim_studio.panels.episode import EpisodePanel
 from roboxim_studio.panels.files import FilesPanel
+from roboxim_studio.panels.what_if import WhatIfPanel
 from roboxim_studio.serving.access import Access
 from roboxim_studio.serving.site import Site
 
@@ -32,7 +34,7 @@ class Studio:
             RoboximError: When the port is taken.
         """
         self.library = ModelLibrary()
-        self.bench = Bench()
+        self.bench, self.lab = Bench(), Lab()
         self.site = Site(Access(open_network=open_network), port, received=self._received)
         self.site.viser.scene.set_up_direction("+z")
         self.site.viser.initial_camera.position = (1.55, -0.9, 0.95)
@@ -40,6 +42,7 @@ class Studio:
         self.view = SceneView(self.site.viser, self.library)
         self.files = FilesPanel(self.site, self.open_bag)
         self.episode = EpisodePanel(self.site, self.view)
+        self.what_if = WhatIfPanel(self.site, self.episode, self.bench, self.lab, self.library)
 
     @property
     def url(self) -> str:
@@ -57,7 +60,7 @@ class Studio:
     def close(self) -> None:
         """End everything."""
         self.episode.close()
-        self.bench.close()
+        self.bench.close(self.lab.close)
         self.site.close()
 
     def open(self, opened: Opened) -> None:

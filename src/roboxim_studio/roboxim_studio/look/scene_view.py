@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -42,14 +41,18 @@ def wxyz(pose: Pose) -> tuple[float, float, float, float]:
 class SceneView:
     """The three-dimensional part of the page. Call it from one thread at a time."""
 
-    def __init__(self, server: viser.ViserServer, library: ModelLibrary, root: str = "/scene") -> None:
+    def __init__(
+        self, server: viser.ViserServer, library: ModelLibrary, root: str = "/scene", bare: bool = False
+    ) -> None:
         """Draw into a server's scene.
 
         Args:
             server: The server.
             library: Robots and objects.
             root: Name of the node that everything is below, so that two views can be side by side.
+            bare: Whether to leave out what the other view shows: room, lights and directions.
         """
+        self._bare = bare
         self._server, self._library, self._root = server, library, root
         self.scene: SceneSpec | None = None
         """The scene that is shown."""
@@ -82,15 +85,16 @@ class SceneView:
         self.scene = scene
         self._frame.position = (0.0, offset_y_m, 0.0)
         with self._server.atomic():
-            wanted = {body.key: body for body in world.bodies if body.parts}
+            out = ("floor", "wall") if self._bare else ()
+            wanted = {body.key: body for body in world.bodies if body.parts and body.key not in out}
             for key in [key for key in self._bodies if key not in wanted]:
                 self._bodies.pop(key)[1].remove()
             for key, body in wanted.items():
                 self._show_body(key, body)
             self._show_cameras(scene.cameras)
-            if scene.look != self._look:
+            if scene.look != self._look and not self._bare:
                 self._show_lights(scene.look)
-            if not self._compass:
+            if not self._compass and not self._bare:
                 self._show_compass(scene)
 
     def show(self, state: StateRecord, images: Mapping[str, npt.NDArray[np.uint8]] | None = None) -> None:
@@ -116,6 +120,15 @@ class SceneView:
         """Move one body, e.g. while it is dragged."""
         if key in self._bodies:
             self._place(self._bodies[key][1], pose)
+
+    def clear(self) -> None:
+        """Show nothing."""
+        for _, handle in (*self._bodies.values(), *self._cameras.values()):
+            handle.remove()
+        self._bodies, self._cameras = {}, {}
+        if self._arrows is not None:
+            self._arrows.remove()
+            self._arrows = None
 
     def hide_cameras(self, hidden: bool) -> None:
         """Show or hide the cameras' frusta."""
@@ -237,8 +250,3 @@ class SceneView:
             label = self._server.scene.add_label(f"{self._root}/compass/{text.replace(' ', '_')}", text)
             label.position = tuple(at)
             self._compass.append(label)
-
-
-def without_cameras(scene: SceneSpec) -> SceneSpec:
-    """Return a scene without cameras, for two views side by side."""
-    return replace(scene, cameras=())

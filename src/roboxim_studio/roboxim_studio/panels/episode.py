@@ -24,19 +24,21 @@ REDRAW_S = 0.1
 class EpisodePanel:
     """Shows one episode at a time."""
 
-    def __init__(self, site: Site, view: SceneView, on_what_if: Callable[[Film, int], None] | None = None) -> None:
+    def __init__(self, site: Site, view: SceneView) -> None:
         """Build the panel in the current container.
 
         Args:
             site: The page.
             view: The three-dimensional view.
-            on_what_if: Called with the episode when one is opened, to offer what follows from a tick; none: nothing is.
         """
         self._site, self._view, self._gui = site, view, site.viser.gui
         self._lock = threading.RLock()
         self._playing = threading.Event()
         self._closed = threading.Event()
-        self._on_shown: list[Callable[[Film, int], None]] = [on_what_if] if on_what_if else []
+        self.on_shown: list[Callable[[Film, int], None]] = []
+        """Called with the episode and the tick that is shown now."""
+        self.on_opened: list[Callable[[Film], None]] = []
+        """Called with an episode that was opened."""
         self.film: Film | None = None
         """The episode."""
         self.judgement: Judgement | None = None
@@ -66,6 +68,8 @@ class EpisodePanel:
             self._fresh = []
             with self.folder:
                 self._build(film)
+            for told in self.on_opened:
+                told(film)
             self.show(0)
         self._site.tell(hint=HINT, alert="")
 
@@ -153,7 +157,7 @@ class EpisodePanel:
             )  # fmt: skip
             self._lamps.content = markup.lamps(judgement.lamps(seq))
             self._show_images(images)
-            for told in self._on_shown:
+            for told in self.on_shown:
                 told(film, seq)
 
     def _show_images(self, images: dict[str, Any]) -> None:

@@ -40,7 +40,8 @@ SAG_TOLERANCE_M, SAG_TOLERANCE_RAD = 0.010, 0.06
 class Expert:
     """A privileged policy that solves any registered skill. One episode at a time; not thread-safe.
 
-    Non-obvious: the motion is chosen in the first `act`, because only then is the settled state known.
+    Non-obvious: the motion is chosen in the first `act`, because only then is the settled state known. If that is not
+    at tick 0, another actor has acted so far, and the expert goes on from there, with what the gripper holds.
     """
 
     def __init__(
@@ -134,6 +135,8 @@ class Expert:
     def _plan_first(self, view: ExpertScene) -> Solution:
         """Return the drawn scene's solution if it is valid in the settled scene, else plan anew."""
         assert self._start is not None
+        if view.state.seq > 0:
+            return self._plan(_taken_over(view))
         if self._direct:
             return self._plan(view)
         try:
@@ -168,6 +171,19 @@ class Expert:
         except PolicyError:
             if view.recovering:
                 raise
+
+
+def _taken_over(view: ExpertScene) -> ExpertScene:
+    """Return a scene that another actor has brought about, with what the gripper holds in it."""
+    for entity in view.state.entities:
+        pressing = {
+            contact.link_b if contact.body_a == entity.name else contact.link_a
+            for contact in view.state.contacts_between(ROBOT, entity.name)
+            if contact.force_last > 0.0
+        }
+        if len(pressing) > 1:
+            return replace(view, held=entity.name)
+    return replace(view, recovering=True)
 
 
 def _touched(state: StateRecord, entity: str) -> bool:

@@ -1,0 +1,68 @@
+"""The rooms' cores, made when they are first needed, in the bench's thread."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from roboxim_core.episode import ActorPort, Draw
+from roboxim_core.seeds import SeedPath
+from roboxim_studio.acting.what_if import EXPERT
+
+if TYPE_CHECKING:
+    from roboxim_bringup.core_graph import CoreGraph
+
+
+class Lab:
+    """Cores for drawing, simulating, planning and judging. Every method belongs to the thread of the first call."""
+
+    def __init__(self, renderer: str = "raster") -> None:
+        """Use a renderer by name; nothing is made before it is needed."""
+        self._renderer = renderer
+        self._graph: CoreGraph | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="roboxim-studio-", ignore_cleanup_errors=True)
+        self._actors: dict[str, ActorPort] = {}
+
+    @property
+    def graph(self) -> CoreGraph:
+        """The cores."""
+        if self._graph is None:
+            from roboxim_bringup.core_graph import CoreGraph
+
+            self._graph = CoreGraph(Path(self._folder.name), renderer=self._renderer)
+        return self._graph
+
+    def actor(self, name: str) -> ActorPort:
+        """Return the expert, or a policy by its name or ``name=...`` specification, as ``evaluate`` takes it.
+
+        Raises:
+            ConfigError: When there is no such policy.
+            PolicyError: When it cannot be made.
+        """
+        if name == EXPERT:
+            return self.graph.ports.actor
+        if name not in self._actors:
+            from roboxim_bringup.core_graph import CoreActor
+            from roboxim_runs.policies.specs import choose_policies
+
+            (chosen,) = choose_policies([name])
+            make: Any = chosen.make
+            self._actors[name] = CoreActor(make(**chosen.options))
+        return self._actors[name]
+
+    def draw(self, task_config: str, seed: SeedPath) -> Draw:
+        """Draw the episode of a seed path, with every check of a reset.
+
+        Raises:
+            TaskError: With code ``RESET_INFEASIBLE``, naming the constraint that refused most draws.
+            ConfigError: When the configuration names what does not exist.
+        """
+        return self.graph.tasks.draw(seed, task_config)
+
+    def close(self) -> None:
+        """Free everything."""
+        if self._graph is not None:
+            self._graph.__exit__()
+            self._graph = None
+        self._folder.cleanup()
