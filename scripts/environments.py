@@ -24,9 +24,6 @@ LOCKS = ROOT / "requirements"
 UV = TOOLS / "uv" / "bin" / "uv"
 PYTHON = os.path.realpath(getattr(sys, "_base_executable", None) or sys.executable)
 
-EVERY_PYTHON = ("build", "dev", "installer", "release", "scale")
-"""Locks for each Python that RoboXim runs on; the others are for 3.11, which their packages want."""
-
 # Variables of a ROS installation or a Python environment, which must not reach a build.
 FOREIGN_VARIABLES = (
     "AMENT_PREFIX_PATH",
@@ -169,22 +166,21 @@ def digest(*parts: str | Path) -> str:
     return total.hexdigest()
 
 
-def environment_key(python: str = PYTHON) -> str:
+def environment_key() -> str:
     """Hash an environment's interpreter and path, whose change makes the environment unusable."""
-    return digest(python, sys.version, str(ROOT))
+    return digest(PYTHON, sys.version, str(ROOT))
 
 
-def packages_key(lock: Path, python: str = PYTHON) -> str:
+def packages_key(lock: Path) -> str:
     """Hash everything that an environment made from a lock depends on."""
-    return digest(lock, environment_key(python))
+    return digest(lock, environment_key())
 
 
 class Environment:
     """A virtual environment that records which steps have finished in it."""
 
-    def __init__(self, path: Path, base: str = PYTHON) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self.base = base
         self.python = path / "bin" / "python"
         self._state = path / ".roboxim"
 
@@ -211,8 +207,7 @@ class Environment:
         environment (`uv pip sync`) would remove half of ROS.
         """
         shutil.rmtree(self.path, ignore_errors=True)
-        base = self.base if lock.stem in EVERY_PYTHON else "3.11"
-        run(f"{self.path.name.lstrip('.')}-create", UV, "venv", "--quiet", "--python", base, self.path)
+        run(f"{self.path.name.lstrip('.')}-create", UV, "venv", "--quiet", "--python", PYTHON, self.path)
         self._state.mkdir()
-        with self.writing("packages", packages_key(lock, self.base)):
+        with self.writing("packages", packages_key(lock)):
             uv_pip(self, "install", "--require-hashes", "--no-deps", "--requirements", lock)

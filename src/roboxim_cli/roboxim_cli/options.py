@@ -168,6 +168,19 @@ SHARED: dict[str, dict[str, Any]] = {
     ),
     "distractors": dict(default="", metavar="N|A-B", help="Distractors in the scene, e.g. 1-3."),
     "colors": dict(default="", metavar="A,B", help="Colours of the target, e.g. red,blue."),
+    "camera": dict(
+        name="cameras", multiple=True, metavar="NAME[=VIEW]",
+        help="Camera, at the pose of its file of config/cameras or of another one; may be repeated.",
+    ),
+    "light": dict(
+        name="lights", multiple=True, metavar="NAME",
+        help="Lighting: a name in config/lights or a YAML file; may be repeated, one is drawn for each episode.",
+    ),
+    "texture": dict(
+        name="textures", multiple=True, metavar="SURFACE=NAME",
+        help="Texture of table, floor or wall, e.g. table=marble or table=./oak.jpg; may be repeated.",
+    ),
+    "look": dict(default="", metavar="SET", help="Set of looks in config/looks, e.g. varied, drawn for each episode."),
     "out": dict(type=click.Path(path_type=Path), show_default=True),
     "episodes": dict(type=click.IntRange(1), show_default=True),
     "seed": dict(type=click.IntRange(0), default=0, show_default=True, help="Seed of the run."),
@@ -198,6 +211,10 @@ SHARED: dict[str, dict[str, Any]] = {
 """Options that several commands have, which mean the same everywhere; a command may change the help and the default."""
 
 
+TASK_WORDS = ("task", "skill", "object", "distractors", "colors", "camera", "light", "texture", "look")
+"""Options that choose a task and change it, as `roboxim_runs.episodes.task_choice.task_text` takes them."""
+
+
 def option(*words: str, **changes: Any) -> Decorator:
     """Return a decorator that adds a shared option.
 
@@ -223,7 +240,7 @@ def with_options(*decorators: Decorator) -> Decorator:
 
 def task_options() -> list[Decorator]:
     """Return the options that choose a task and change it."""
-    return [option(name) for name in ("task", "skill", "object", "distractors", "colors")]
+    return [option(name) for name in TASK_WORDS]
 
 
 def episode_options(*, episodes: int, out: str) -> Decorator:

@@ -5,6 +5,7 @@ import os
 import pytest
 
 from roboxim_bringup.testing import graph, graph_parameters
+from roboxim_core.models.library import ModelLibrary
 
 __all__ = ["graph", "graph_parameters"]
 
@@ -19,3 +20,9 @@ def runtime(tmp_path, monkeypatch):
     for name in set(os.environ) - set(before):
         del os.environ[name]
     os.environ.update(before)
+
+
+@pytest.fixture(scope="session")
+def library():
+    """Return RoboXim's models."""
+    return ModelLibrary()

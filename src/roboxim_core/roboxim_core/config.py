@@ -105,19 +105,34 @@ def _type_mismatches(kind: Any, value: Any, path: tuple[Any, ...]) -> Iterator[t
             yield from _type_mismatches(arms[1], item, (*path, key))
 
 
+def _is_list_of_words(kind: Any) -> bool:
+    """Tell whether a field is a list of words of any length, for which a single one may stand."""
+    arms = [arm for arm in get_args(kind) if arm is not type(None)]
+    if get_origin(kind) in (Union, type(str | int)) and len(arms) == 1:
+        return _is_list_of_words(arms[0])
+    return get_origin(kind) is tuple and arms == [str, Ellipsis]
+
+
 def _dataclass_hook(cls: Any, converter: cattrs.Converter) -> Any:
     """Return the structure hook of a dataclass, which first checks that lists and mappings are where they belong.
 
-    Without this check, cattrs would accept a string as the list of its letters.
+    Without this check, cattrs would accept a string as the list of its letters. A word stands for a list of one, and
+    a class with a method ``from_short`` has other short forms.
     """
     build = make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True)
     kinds = get_type_hints(cls)
 
+    lists = [name for name, kind in kinds.items() if _is_list_of_words(kind)]
+
     def structure(value: Any, _: Any) -> Any:
+        if not isinstance(value, Mapping) and hasattr(cls, "from_short"):
+            value = cls.from_short(value)
         if not isinstance(value, Mapping):
             raise ValueError(f"expected a mapping with keys of {', '.join(kinds)}; got {value!r}")
         if cls is Pose:
             value = _with_quaternion(value)
+        if single := {name: [value[name]] for name in lists if isinstance(value.get(name), str)}:
+            value = {**value, **single}
         mismatches = [m for name in value if name in kinds for m in _type_mismatches(kinds[name], value[name], (name,))]
         if mismatches:
             errors = [_at_path(ValueError(text), path, cls) for path, text in mismatches]

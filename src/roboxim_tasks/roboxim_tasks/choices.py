@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +35,11 @@ class Choice:
     """``random``, or ``in_order``: value ``index % len(values)``."""
     weights: tuple[float, ...] = ()
     """Relative frequency of each of ``values``; empty: all equal."""
+
+    @staticmethod
+    def from_short(value: Any) -> Any:
+        """Return the mapping for which a list of values or a single value stands, e.g. ``0.6``."""
+        return {"values": value if isinstance(value, list) else [value]}
 
     def __post_init__(self) -> None:
         """Check that there is either a list or a range.
@@ -151,6 +157,12 @@ class VectorChoice:
     """Upper corner of the box."""
     order: str = "random"
     """``random``, or ``in_order``: value ``index % len(values)``."""
+
+    @staticmethod
+    def from_short(value: Any) -> Any:
+        """Return the mapping for which a list of vectors or a single vector stands, e.g. ``[0.5, 0.0, 0.2]``."""
+        listed = isinstance(value, list)
+        return {"values": value if listed and value and isinstance(value[0], list) else [value]} if listed else value
 
     def __post_init__(self) -> None:
         """Check that there is either a list or a box, all of one length.

@@ -7,7 +7,7 @@ the sections against those classes, so that a wrong key is refused with its line
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -73,7 +73,7 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
     lenient = merged(_section(data, "parameters"), _section(data, "lenient"))
     given = _section(data, "reset")
     reset: dict[str, Any] = {}
-    for name in dict.fromkeys((*skill.components, *given)):
+    for name in _in_order((*skill.components, *given)):
         section = _completed(_section(given, name), skill.reset.get(name, {}))
         reset[name] = document.build(section, COMPONENTS[name].Config, ("reset", name))
     objects = {
@@ -93,6 +93,15 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
     check_exclusions(document, complete, library)
     check_reset(document, complete)
     return complete
+
+
+def _in_order(names: Iterable[str]) -> list[str]:
+    """Return the names of reset components in the order in which they act."""
+    order = list(dict.fromkeys(names))
+    for name in [name for name in order if COMPONENTS[name].before in order]:
+        order.remove(name)
+        order.insert(order.index(COMPONENTS[name].before), name)
+    return order
 
 
 def _completed(section: Any, defaults: Mapping[str, Any]) -> Any:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import click
 
+from roboxim_cli import strict
 
-@click.command()
+
+@strict.command()
 @click.argument("what", default="", metavar="[RUN | BAG | DATASET | REPORT | TASK]")
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port to listen at; 0: any free one.")
 @click.option(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import click
 
 from roboxim_cli import strict
+from roboxim_cli.named import Named
 from roboxim_cli.options import option, task_options, with_options
 
 
@@ -49,6 +51,21 @@ def _show(skills: dict[str, Any], tasks: dict[str, Any]) -> None:
         click.echo(f"  {'':<28}   {task['about']}")
 
 
+@command.command("show")
+@click.argument("name", type=Named("task"))
+def show(name: str) -> None:
+    r"""Describe a task, a mix or a skill: objects, scene, cameras, what varies, when it has succeeded.
+
+    \b
+    roboxim tasks show place_on
+    roboxim tasks show my_task.yaml
+    """
+    from roboxim_runs.scenes.words import task_lines
+
+    for line in task_lines(name):
+        click.echo(line)
+
+
 @command.command("sample", old={"--count": "--episodes"})
 @with_options(*task_options(), option("seed"))
 @option("episodes", default=10, help="Number of tasks.")
@@ -58,14 +75,19 @@ def _show(skills: dict[str, Any], tasks: dict[str, Any]) -> None:
     help="Purpose of the episodes; each purpose has its own tasks.",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, one task per line.")
+@click.option("--picture", is_flag=True, help="Draw the scenes from all cameras, and mark the named objects.")
+@option("out", default="tasks.png", help="File of --picture.")
+@option("renderer", help="Renderer of --picture.")
 def sample(
-    seed: int, episodes: int, first: int, purpose: str, as_json: bool, **choice: Any
+    seed: int, episodes: int, first: int, purpose: str, as_json: bool, picture: bool, out: Path, renderer: str,
+    **choice: Any,
 ) -> None:  # fmt: skip
     r"""Print the tasks of a seed, exactly as generate and evaluate run them.
 
     \b
     roboxim tasks sample --seed 7
     roboxim tasks sample --skill place_on --object apple,knife --episodes 5
+    roboxim tasks sample --skill stack --episodes 4 --picture
     """
     from roboxim_core.config import digest, to_json
     from roboxim_core.models.library import ModelLibrary
@@ -89,3 +111,11 @@ def sample(
         chosen = "  ".join(f"{name}: {value}" for name, value in drawn.drawn.items())
         if chosen:
             click.echo(f"{'':>24}{chosen}")
+    if picture:
+        from roboxim_runs.scenes.pictures import ScenePainter, save_sheet
+
+        with ScenePainter(renderer) as painter:
+            seeds = (SeedPath(run_seed=seed, purpose=purpose, index=index) for index in range(first, first + episodes))
+            draws = (painter.draw(path, config) for path in seeds)
+            save_sheet([painter.picture(drawn.scene, drawn.task) for drawn in draws], out)
+        click.echo(f"a picture: {out}", err=as_json)

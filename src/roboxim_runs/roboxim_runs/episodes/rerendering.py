@@ -47,16 +47,6 @@ SURFACES = ("table", "floor", "wall")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lighting:
-    """Contents of a YAML file in ``config/lights``."""
-
-    lights: tuple[LightSpec, ...] = ()
-    """The lights; the first one that casts a shadow is the main light."""
-    ambient: RGB | None = None
-    """Radiance of the surroundings; none: the scene's."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class RerenderConfig:
     """Changes to the recorded episodes; a field left out changes nothing."""
 

@@ -54,6 +54,14 @@ class EpisodesConfig:
     """Number or range of distractors, e.g. ``1-3``; empty: as configured."""
     colors: str = ""
     """Comma-separated colours of the target; empty: as configured."""
+    cameras: Sequence[str] = ()
+    """``NAME[=VIEW]``: the cameras, and the files of ``config/cameras`` for their poses; empty: as configured."""
+    lights: Sequence[str] = ()
+    """Names in ``config/lights``, drawn for each episode; empty: as configured."""
+    textures: Sequence[str] = ()
+    """``SURFACE=NAME`` for table, floor or wall; empty: as configured."""
+    look: str = ""
+    """Set of looks in ``config/looks``, e.g. ``varied``, drawn for each episode; empty: as configured."""
     seed: int = 0
     """Seed of the run."""
     workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
@@ -86,8 +94,9 @@ class EpisodesConfig:
                 long.
         """
         checked_path(self.out)
-        if isinstance(self.objects, str):
-            object.__setattr__(self, "objects", (self.objects,))
+        for name in ("objects", "cameras", "lights", "textures"):
+            if isinstance(getattr(self, name), str):
+                object.__setattr__(self, name, (getattr(self, name),))
         for name, least in (("episodes", 0), ("workers", 1), ("seed", 0)):
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool):
@@ -129,8 +138,9 @@ class EpisodesConfig:
             ConfigError: When there is no such task or skill, or the result is not valid.
         """
         return task_text(
-            self.task, skill=self.skill, objects=self.objects, distractors=self.distractors, colors=self.colors
-        )
+            self.task, skill=self.skill, objects=self.objects, distractors=self.distractors, colors=self.colors,
+            cameras=self.cameras, lights=self.lights, textures=self.textures, look=self.look,
+        )  # fmt: skip
 
     def sized(self, task_config: str, on_event: OnEvent) -> Self:
         """Return the configuration with a number of episodes, and tell how the cells of a mix share them.

@@ -14,6 +14,7 @@ import yaml
 from roboxim_core.config import config_dirs, named_config, parse_yaml
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.documents import read_text
+from roboxim_core.plain_data.merging import merged
 from roboxim_core.seeds import CELL
 
 if TYPE_CHECKING:
@@ -25,7 +26,16 @@ CELLS_SHOWN = 8
 
 
 def task_text(
-    task: str = "", *, skill: str = "", objects: Sequence[str] = (), distractors: str = "", colors: str = ""
+    task: str = "",
+    *,
+    skill: str = "",
+    objects: Sequence[str] = (),
+    distractors: str = "",
+    colors: str = "",
+    cameras: Sequence[str] = (),
+    lights: Sequence[str] = (),
+    textures: Sequence[str] = (),
+    look: str = "",
 ) -> str:
     """Return a task configuration as YAML text, with the command line's overrides.
 
@@ -36,6 +46,10 @@ def task_text(
         objects: ``[ROLE=]MODEL[,MODEL]``, the default role is ``target``.
         distractors: Number or range of distractors, e.g. ``1-3``; empty: as configured.
         colors: Comma-separated colours of the target; empty: as configured.
+        cameras: ``NAME[=VIEW]``: the cameras, each at the pose of its own file of ``config/cameras`` or of another one.
+        lights: Names in ``config/lights``; several: one is drawn for each episode.
+        textures: ``SURFACE=NAME`` for table, floor or wall; several of one surface: one is drawn for each episode.
+        look: Set of looks in ``config/looks``, one of which is drawn for each episode.
 
     Raises:
         ConfigError: When the task or skill is unknown, or the result is not valid.
@@ -44,7 +58,8 @@ def task_text(
 
     text, source = _base(task, _words(skill))
     any_task_config(parse_yaml(text, source=source), source=source)
-    if not (objects or distractors or colors):
+    reset = _reset_changes(cameras, lights, textures, look)
+    if not (objects or distractors or colors or reset):
         return text
     data: dict[str, Any] = yaml.safe_load(text) or {}
     changed = data
@@ -65,9 +80,34 @@ def task_text(
     if colors:
         target = changed.setdefault("objects", {}).setdefault("target", {})
         target.setdefault("modifiers", {})["color"] = {"values": [color.strip() for color in colors.split(",")]}
+    if reset:
+        changed["reset"] = merged(changed.get("reset") or {}, reset)
     text = str(yaml.safe_dump(data, sort_keys=False))
     any_task_config(data, source=f"{source} with the command line's options")
     return text
+
+
+def _reset_changes(
+    cameras: Sequence[str], lights: Sequence[str], textures: Sequence[str], look: str
+) -> dict[str, dict[str, Any]]:
+    """Return the sections of reset components that the options set."""
+    changes: dict[str, dict[str, Any]] = {}
+    if cameras:
+        pairs = [word.partition("=") for word in cameras]
+        views = {name: {"values": [view]} for name, _, view in pairs if view}
+        changes["cameras"] = {"names": [name for name, _, _ in pairs], **({"views": views} if views else {})}
+    if look:
+        changes["look"] = {"set": look}
+    if lights:
+        changes.setdefault("look", {})["lights"] = {"values": list(lights)}
+    for word in textures:
+        surface, equals, name = word.partition("=")
+        if not equals:
+            raise ConfigError(f"--texture is SURFACE=NAME, e.g. table=marble, got '{word}'")
+        texture = str(Path(name).resolve()) if "/" in name else name
+        section = changes.setdefault("surfaces", {}).setdefault(surface, {"texture": {"values": []}})
+        section["texture"]["values"].append(texture)
+    return changes
 
 
 def mix_of(task_config: str) -> TaskMix | None:
@@ -131,6 +171,7 @@ def _set_models(data: dict[str, Any], item: str) -> None:
     """Set the models of a role. Drop modifiers and modifier values that none of the models supports."""
     from roboxim_core.models.library import ModelLibrary
     from roboxim_core.models.modifiers import PHYSICAL
+    from roboxim_tasks.choices import Choice
 
     library = ModelLibrary()
     role, _, models = item.rpartition("=")
@@ -141,7 +182,8 @@ def _set_models(data: dict[str, Any], item: str) -> None:
     config = data.setdefault("objects", {}).setdefault(role or "target", {}) or {}
     config["models"] = {"values": names}
     modifiers = {}
-    for kind, choice in config.get("modifiers", {}).items():
+    for kind, given in config.get("modifiers", {}).items():
+        choice = given if isinstance(given, dict) else Choice.from_short(given)
         takers = [taken[kind] for taken in map(library.object_modifiers, names) if kind in taken]
         kept = choice
         if kind != "scale" and kind not in PHYSICAL:

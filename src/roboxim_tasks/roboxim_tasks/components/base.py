@@ -121,6 +121,8 @@ class ResetComponent(ABC):
     """Name in the registry, in task YAML and of the random stream."""
     Config: ClassVar[type] = NoConfig
     """Frozen dataclass of the configuration; every field has a default."""
+    before: ClassVar[str] = ""
+    """Component before which it acts, wherever a task names it; empty: in the order of the task."""
     places: ClassVar[bool] = False
     """Whether the component places objects: it is then drawn again when a constraint refuses the scene."""
 

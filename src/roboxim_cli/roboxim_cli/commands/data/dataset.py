@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -212,3 +213,15 @@ def _print_written(written: Any) -> None:
     click.echo(f"{written.path}: {splits}")
     for line in (*lines("note", written.changed), *lines("left out", written.left_out)):
         click.echo(line)
+
+
+@command.command("replay", hidden=True, context_settings={"ignore_unknown_options": True, "help_option_names": []})
+@click.argument("words", nargs=-1, type=click.UNPROCESSED)
+def replay(words: tuple[str, ...]) -> None:
+    """Replay a dataset, as this was called in the last version: DATASET [BAGS]... and options of ``roboxim replay``."""
+    from roboxim_cli.commands.data.replay import command as replay_sources
+
+    click.echo("warning: 'dataset replay' is now 'roboxim replay', with --bags; the next version refuses it", err=True)
+    inputs = list(itertools.takewhile(lambda word: not word.startswith("-"), words))
+    bags = [word for bag in inputs[1:] for word in ("--bags", bag)]
+    replay_sources.main([*inputs[:1], *bags, *words[len(inputs) :]], "roboxim replay", standalone_mode=False)

@@ -11,44 +11,23 @@ from roboxim_cli import strict
 from roboxim_cli.options import option
 
 if TYPE_CHECKING:
-    from roboxim_runs.episodes.rerendering import Lighting
+    from roboxim_core.vision.looks import Lighting
 
 
 @strict.command(old={"--size": "--size"})
 @click.argument("sources", type=click.Path(exists=True, path_type=Path), nargs=-1, required=True)
 @option("out", required=True, help="Folder of the new run.")
 @option("renderer", help="raster, tiny, or photo (Blender; make photo installs it).")
-@click.option(
-    "--camera",
-    "cameras",
-    multiple=True,
-    metavar="NAME[=FILE]",
-    help="Camera to render: a recorded one, a name in config/cameras or a YAML file; may be repeated. "
-    "Default: the recorded ones.",
-)
+@option("camera", help="Camera to render: a recorded one, or the pose of a file; may be repeated. Default: all.")
 @option("size", help="Image size of every camera.")
 @click.option("--depth/--no-depth", default=None, help="Also record depth. Default: as each camera is configured.")
 @click.option("--segmentation/--no-segmentation", default=None, help="Also record segmentation.")
-@click.option(
-    "--light",
-    "lights",
-    multiple=True,
-    metavar="NAME|YAML",
-    help="Lighting: a name in config/lights, a YAML file, or one light such as "
-    "'{kind: lamp, position: [0.5, 0.5, 1.2], intensity: 2}'; may be repeated. They replace the recorded lights.",
-)
-@click.option(
-    "--texture",
-    "textures",
-    multiple=True,
-    metavar="SURFACE=NAME",
-    help="Texture of table, floor or wall, e.g. table=marble or table=./oak.jpg; may be repeated; an empty NAME "
-    "removes the texture.",
-)
+@option("light", metavar="NAME|YAML", help="Lighting: a name in config/lights, a YAML file, or one light as YAML.")
+@option("texture", help="Texture of table, floor or wall, e.g. table=marble; an empty NAME removes it.")
 @click.option(
     "--background", type=click.Choice(["room", "plain"]), help="Surroundings: a room with walls, or a plain colour."
 )
-@click.option("--look", default="", metavar="SCENE", help="Use the lights and materials of a scene in config/scenes.")
+@option("look", metavar="SCENE", help="Use the lights and materials of a scene in config/scenes.")
 @option("workers", default=1, help="Number of processes, each with a renderer.")
 def command(
     sources: tuple[Path, ...], out: Path, renderer: str, cameras: tuple[str, ...], size: str,
@@ -115,7 +94,7 @@ def _lighting(words: tuple[str, ...]) -> Lighting | None:
     """Return the lights that the options name; none: the recorded ones."""
     from roboxim_core.config import from_plain, load_config, named_config, parse_yaml
     from roboxim_core.specs import LightSpec
-    from roboxim_runs.episodes.rerendering import Lighting
+    from roboxim_core.vision.looks import Lighting
 
     if not words:
         return None

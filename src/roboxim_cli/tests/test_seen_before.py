@@ -1,0 +1,87 @@
+"""Tasks, scenes and bags are seen before anything runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from PIL import Image
+
+from roboxim_cli.main import group
+from roboxim_core.config import load_config, named_config
+from roboxim_core.errors import ConfigError
+from roboxim_core.seeds import SeedPath
+from roboxim_core.vision.looks import LookSet
+from roboxim_runs.episodes.task_choice import task_text
+from roboxim_runs.scenes.pictures import MARK, picture_of
+from roboxim_tasks.config import parse_task_config
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
+
+
+def run(*words):
+    return CliRunner().invoke(group, [str(word) for word in words], standalone_mode=False, catch_exceptions=False)
+
+
+def test_sampled_tasks_are_drawn_from_all_cameras_with_marks(tmp_path):
+    file = tmp_path / "stack.png"
+    result = run(
+        "tasks", "sample", "--skill", "stack", "--episodes", 2, "--picture", "--out", file, "--renderer", "tiny"
+    )
+    assert f"a picture: {file}" in result.output
+    picture = np.asarray(Image.open(file))
+    assert picture.shape[1] > 2 * 384
+    assert (picture == MARK).all(axis=2).sum() > 100
+    with pytest.raises(ConfigError, match=r"as \.png"):
+        run("tasks", "sample", "--episodes", 1, "--picture", "--out", tmp_path / "x.gif", "--renderer", "tiny")
+
+
+def test_a_task_is_described_in_words():
+    said = run("tasks", "show", "pick_cube_randomised").output
+    assert "target        cube (color red, green, blue, yellow; scale 0.9 to 1.1)" in said
+    assert "varies        lights: intensity 1.6 to 3" in said
+    assert "lift_m 0.05" in said
+    assert "cells, " in run("tasks", "show", "camera_skill_baseline").output
+
+
+def test_a_scene_and_a_misspelt_name(tmp_path):
+    picture, text = picture_of("kitchen", renderer="tiny")
+    assert picture.size == (384, 384)
+    assert text == "scene kitchen: 0 objects"
+    with pytest.raises(ConfigError, match="did you mean 'kitchen'"):
+        picture_of("kitchn", renderer="tiny")
+
+
+def test_looks_lights_textures_and_cameras_are_options_of_every_task(library):
+    text = task_text(
+        "pick_cube", cameras=["workspace=whole", "wrist"], lights=["evening"], textures=["table=marble"], look="varied"
+    )
+    seeds = [SeedPath(run_seed=1, purpose="demo", index=index) for index in range(12)]
+    draws = [EpisodeGenerator(library).draw(seed, parse_task_config(text)) for seed in seeds]
+    assert len({draw.scene.look.wall for draw in draws}) > 4
+    assert {draw.scene.look.table.texture for draw in draws} == {"marble"}
+    assert {draw.scene.look.lights[0].intensity for draw in draws} == {2.8}
+    assert {draw.scene.cameras[0].pose for draw in draws} == {draws[0].scene.cameras[0].pose}
+    assert "drawn" not in text
+    free = EpisodeGenerator(library).draw(seeds[0], parse_task_config(task_text("pick_cube", look="varied")))
+    look = load_config(named_config("looks", "varied"), LookSet).looks[free.task.drawn["look"]]
+    assert free.scene.look == look.look
+    with pytest.raises(ConfigError, match="SURFACE=NAME"):
+        task_text(textures=["marble"])
+
+
+def test_the_look_changes_no_object_and_no_start(library):
+    seed = SeedPath(run_seed=1, purpose="demo", index=4)
+    plain, varied = (
+        EpisodeGenerator(library).draw(seed, parse_task_config(task_text("pick_cube", look=look))).scene
+        for look in ("", "varied")
+    )
+    assert (plain.entities, plain.robot) == (varied.entities, varied.robot)
+
+
+def test_a_single_value_stands_for_a_list(library):
+    text = "{skill: pick_up, objects: {target: {models: apple}}, reset: {lights: {intensity: 0.6}}}"
+    scene = EpisodeGenerator(library).draw(SeedPath(run_seed=0, purpose="demo", index=0), parse_task_config(text)).scene
+    assert scene.look.lights[0].intensity == 0.6
+    assert scene.entities[0].model == "apple"
+    with pytest.raises(ConfigError, match="intensity must be a number"):
+        parse_task_config(text.replace("0.6", "bright"))

@@ -1,0 +1,1 @@
+"""Scenes before they run: drawn tasks and their pictures."""

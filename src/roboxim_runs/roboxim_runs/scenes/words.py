@@ -1,0 +1,98 @@
+"""A task in words: its objects, scene and cameras, and what varies from episode to episode."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+from roboxim_core.config import named_config, to_plain
+from roboxim_core.config_folders import config_names
+from roboxim_runs.episodes.task_choice import task_text
+from roboxim_tasks.choices import Choice, VectorChoice
+from roboxim_tasks.components.lights import LampsConfig
+from roboxim_tasks.config import TaskMix, parse_task_config
+from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.task_config import TaskConfig
+
+CELLS = 20
+"""Number of cells of a mix that are listed."""
+
+
+def task_lines(name: str) -> Iterator[str]:
+    """Yield the description of a task, line by line.
+
+    Args:
+        name: Name in ``config/tasks``, a YAML file, or a skill.
+
+    Raises:
+        ConfigError: When there is no such task, or it is not valid.
+    """
+    skill = name in SKILLS and name not in config_names("tasks")
+    config = parse_task_config(task_text(skill=name) if skill else task_text(name))
+    if not skill:
+        file = named_config("tasks", name)
+        comment = itertools.takewhile(lambda line: line.startswith("#"), file.read_text().splitlines())
+        yield from (line.lstrip("# ") for line in comment)
+        yield f"file          {file}"
+    if isinstance(config, TaskMix):
+        yield f"mix           {len(config.cells)} cells, {sum(config.counts)} episodes"
+        for key, count in itertools.islice(zip(config.keys, config.counts, strict=True), CELLS):
+            yield f"  {count:>4} of       {key}"
+        if len(config.keys) > CELLS:
+            yield f"  and {len(config.keys) - CELLS} more cells"
+        for cell in {cell.skill: cell for cell in config.cells}.values():
+            yield ""
+            yield from _lines(cell)
+    else:
+        yield from _lines(config)
+
+
+def _lines(config: TaskConfig) -> Iterator[str]:
+    yield f"skill         {config.skill}"
+    templates = config.templates.values if config.templates else ()
+    yield f"instruction   {' | '.join(map(str, templates))}"
+    for role, thing in config.objects.items():
+        modifiers = "; ".join(f"{name} {_choice(choice)}" for name, choice in thing.modifiers.items())
+        yield f"{role:<13} {_choice(thing.models)}{f' ({modifiers})' if modifiers else ''}"
+    others = config.distractors
+    if others.maximum:
+        yield f"distractors   {others.minimum} to {others.maximum} of {_choice(others.models)}"
+    cameras = getattr(config.reset.get("cameras"), "names", ())
+    yield f"scene         {config.scene}; cameras {', '.join(cameras) or 'of the scene'}"
+    for name, section in config.reset.items():
+        if name == "distractors" and not others.maximum:
+            continue
+        if varied := list(_varied(section)):
+            yield f"varies        {name}: {'; '.join(varied)}"
+    needed = ", ".join(
+        f"{key} {value:g}" for key, value in to_plain(config.parameters).items() if type(value) is float and value
+    )
+    yield f"thresholds    {needed or 'none'}"
+    yield f"rate          {config.rate_hz:g} Hz, at most {config.max_steps} steps"
+
+
+def _varied(section: Any, path: str = "") -> Iterator[str]:
+    """Yield the values of a component's section that differ from episode to episode."""
+    if isinstance(section, LampsConfig) and section.number.ends[-1] == 0:
+        return
+    for key, value in vars(section).items() if hasattr(section, "__dict__") else ():
+        for name, item in value.items() if isinstance(value, dict) else [("", value)]:
+            where = ".".join(filter(None, (path, key, name)))
+            if isinstance(item, Choice | VectorChoice):
+                if item.lower != item.upper or len(item.values) > 1:
+                    yield f"{where} {_choice(item)}"
+            else:
+                yield from _varied(item, where)
+
+
+def _choice(choice: Choice | VectorChoice) -> str:
+    if choice.values:
+        return ", ".join(_value(value) for value in choice.values)
+    return f"{_value(choice.lower)} to {_value(choice.upper)}"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(f'{number:g}' for number in value)}]"
+    return f"{value:g}" if isinstance(value, float) else str(value) or "none"
