@@ -107,7 +107,8 @@ class Conditions:
             hold_s: Time that all must hold without a break to count as solved [s].
         """
         self.hold_s = hold_s
-        self._conditions = tuple(conditions)
+        self.conditions = tuple(conditions)
+        """The conditions, in the order of their precedence."""
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
@@ -119,7 +120,7 @@ class Conditions:
         values: dict[int, float] = {}
         predicates: dict[str, float] = {}
         broken: list[Condition] = []
-        for condition in self._conditions:
+        for condition in self.conditions:
             measure = condition.measure
             if id(measure) not in values:
                 values[id(measure)] = predicates[measure.name] = float(measure.of(state))
