@@ -15,12 +15,12 @@ from roboxim_core.errors import InvalidRequestError
 from roboxim_eval.experiments.cost import FILMS
 from roboxim_eval.grouping import grouped
 from roboxim_eval.report import PolicyRun, Report, verdict_line, write_report
-from roboxim_eval.report.charts.scenes import scene_chart, scene_rows
-from roboxim_eval.report.charts.table_map import Start, table_map
+from roboxim_eval.report.charts.table_map import Place, Start, mark_key, table_map
 from roboxim_eval.report.episodes import Episode, episodes_json
 from roboxim_eval.report.evaluation import comparisons
 from roboxim_eval.report.experiment import ExperimentPage, experiment_page
-from roboxim_eval.report.films import chosen_films, film_strip
+from roboxim_eval.report.films import chosen_films, chosen_scenes, film_strip
+from roboxim_eval.report.parts import breakdowns, film_groups, scene_patterns
 from roboxim_eval.report.reasons import EXPLANATIONS, explained
 from roboxim_eval.statistics import factors
 from roboxim_eval.statistics.factors import Trial, factor_effects
@@ -87,7 +87,7 @@ def test_most_episodes_in_errors_measure_no_policy(tmp_path):
     assert numbers["errors"] == {"policy_fault": 3}
     assert "by_instruction" not in numbers
     assert "mine is not compared" in said["comparison"]
-    assert "differs from this one of shaky" in said["comparison"]
+    assert "Cannot tell whether zero differs from shaky" in said["comparison"]
     assert verdict_line([broken, zero, shaky]) == ("mine is not compared: most of its episodes ended in errors."), (
         "the policy under test was not measured"
     )
@@ -95,9 +95,13 @@ def test_most_episodes_in_errors_measure_no_policy(tmp_path):
 
 def test_a_comparison_that_planned_looks_did_not_decide_is_not_decided(tmp_path):
     # 29 against 15 of 200 scenes: McNemar's p is 0.049, but four looks were planned
-    one = PolicyRun(policy="a", results=[result(i, "success" if i < 129 else "failure") for i in range(200)])
+    one = PolicyRun(
+        policy="a", trained=True, results=[result(i, "success" if i < 129 else "failure") for i in range(200)]
+    )
     other = PolicyRun(
-        policy="b", results=[result(i, "success" if i < 100 or 129 <= i < 144 else "failure") for i in range(200)]
+        policy="b",
+        trained=True,
+        results=[result(i, "success" if i < 100 or 129 <= i < 144 else "failure") for i in range(200)],
     )
     fixed = Report(title="t", runs=[one, other], facts={}, versions={}, command="c")
     assert 'class="badge higher"' in write_report(fixed, tmp_path).read_text()
@@ -116,12 +120,13 @@ def test_a_comparison_that_planned_looks_did_not_decide_is_not_decided(tmp_path)
 
 
 def test_report_is_self_contained_and_escapes(tmp_path):
-    frames = [np.full((32, 64, 3), value, np.uint8) for value in (0, 128, 255)]
+    film = film_strip([np.full((32, 64, 3), value, np.uint8) for value in (0, 128, 255)])
     good = PolicyRun(
         policy="bc",
+        trained=True,
         results=[result(i, instruction="<b>Pick & place</b>") for i in range(18)]
         + [result(18, "failure", "not_lifted")],
-        films={"eval-0-00000-0": frames, "eval-0-00018-0": frames},
+        films={"eval-0-00000-0": film, "eval-0-00018-0": film},
     )
     bad = PolicyRun(policy="random", results=[result(i, "failure", "max_steps") for i in range(20)])
     report = Report(
@@ -133,10 +138,10 @@ def test_report_is_self_contained_and_escapes(tmp_path):
     )
     page = write_report(report, tmp_path).read_text()
     assert not re.search(r'(src|href)="(?!data:|#)', page), "a report must not refer to other files"
-    assert "<b>Pick" not in page
+    assert "<b>Pick &" not in page
     assert page.count("data:image/webp") == 2
     assert page.count('type="range"') == 2
-    assert verdict_line(report.runs).startswith("This checkpoint of bc is higher than this one of random by 95 points")
+    assert verdict_line(report.runs).startswith("This checkpoint of bc succeeds more often than random by 95 points")
     assert f"2 of {len(good.results) + len(bad.results)} episodes are shown" in page
     numbers = json.loads((tmp_path / "summary.json").read_text())
     assert numbers["policies"]["bc"]["successes"] == 18
@@ -164,7 +169,7 @@ def test_rates_by_what_reset_components_have_drawn(tmp_path):
     rates = run.rates_by_dimension["interaction_area"]
     assert {name: (rate.successes, rate.episodes) for name, rate in rates.items()} == {"left": (2, 4), "right": (1, 2)}
     report = Report(title="Areas", runs=[run], facts={}, versions={}, command="roboxim evaluate")
-    assert "By interaction area" in write_report(report, tmp_path).read_text()
+    assert 'data-tab="interaction area"' in write_report(report, tmp_path).read_text()
     numbers = json.loads((tmp_path / "summary.json").read_text())["policies"]["bc"]
     assert numbers["by_interaction_area"]["right"]["episodes"] == 2
     assert "by_instruction" in numbers
@@ -184,7 +189,10 @@ def test_each_number_leads_to_its_episodes_and_each_episode_to_its_bag(tmp_path)
     run = PolicyRun(policy="bc", results=results, folder="bc", drawn={r.episode_id: {"light": "dim"} for r in results})
     page = write_report(Report(title="t", runs=[run], facts={}, versions={}, command="c"), tmp_path).read_text()
     assert 'href="#episodes?arm=bc">3 of 5</a>' in page
-    assert 'href="#episodes?arm=bc&amp;reason=dropped&amp;outcome=failure%7Cerror">2</a>' in page
+    assert (
+        'href="#episodes?arm=bc&amp;reason=dropped&amp;outcome=failure%7Cerror">2 &times; <code>dropped</code></a>'
+        in page
+    )
     assert "fell from too high" in page, "a reason is explained"
     data = data_of(page)
     assert [row[8] for row in data["rows"]] == [f"bc/episodes/{i}" for i in range(5)]
@@ -205,13 +213,31 @@ def test_policies_are_compared_scene_by_scene():
         for arm, row in outcomes.items()
         for i, won in enumerate(row)
     ]
-    rows = dict(scene_rows(list(enumerate(episodes)), ("a", "b")))
-    assert rows["success", "failure"] == [(1, 5)]
-    assert rows["failure", "success"] == [(3, 7)]
-    chart = str(scene_chart(list(rows.items()), ("a", "b")))
-    assert chart.count('data-e="') == 8
-    assert chart.count("scene success") == 4
-    assert scene_rows(list(enumerate(episodes[:4])), ("a", "b")) == [], "one policy is no comparison"
+    found = {text: (count, link) for text, count, link in scene_patterns(episodes, ("a", "b"))}
+    assert {text: count for text, (count, _) in found.items()} == {
+        "both succeeded": 1, "only a succeeded": 1, "only b succeeded": 1, "neither succeeded": 1,
+    }  # fmt: skip
+    assert found["only a succeeded"][1] == "#episodes?n=1%7C5"
+    assert scene_patterns(episodes[:4], ("a",)) == [], "one policy is no comparison"
+    frames = film_strip([np.zeros((16, 16, 3), np.uint8)])
+    groups = film_groups(episodes, dict.fromkeys(range(8), frames), ("a", "b"))
+    assert [[one["number"] for one in group["films"]] for group in groups] == [[1, 5], [3, 7], [2, 6], [0, 4]], (
+        "films of one scene are side by side, scenes that tell the policies apart first"
+    )
+
+
+def test_what_a_reader_compares_is_never_pooled():
+    won = {"good": True, "bad": False}
+    episodes = [
+        Episode(arm=arm, scene=str(i), outcome="success" if won[arm] else "failure", instruction=f"Pick {i % 2}",
+                drawn={"target": str(i % 2), "light": ("dim", "bright")[i // 12]})
+        for arm in won for i in range(24)
+    ]  # fmt: skip
+    tables = breakdowns(episodes, ("good", "bad"))
+    assert sorted(table["name"] for table in tables) == ["light", "target, instruction"], "no table repeats another"
+    for table in tables:
+        for row in table["levels"]:
+            assert [(c["rate"].successes, c["rate"].episodes) for c in row["cells"]] == [(12, 12), (0, 12)]
 
 
 def test_the_map_counts_each_episode_once():
@@ -220,20 +246,43 @@ def test_the_map_counts_each_episode_once():
     numbers = [(int(a), int(b)) for a, b in re.findall(r"(\d+) of (\d+) succeeded", picture)]
     assert sum(b for _, b in numbers) == 60
     assert sum(a for a, _ in numbers) == 20
-    assert picture.count("<circle") == 60
-    assert "<circle" not in str(table_map(starts * 10)), "squares alone, where dots would hide each other"
+    assert (picture.count('class="solved"'), picture.count('class="unsolved"')) == (20, 40)
+    assert "solved" not in str(table_map(starts * 10)), "squares alone, where marks would hide each other"
+
+
+def test_the_map_says_where_things_are_and_its_legend_draws_the_same_marks():
+    starts = [Start(x=0.5, y=0.1, success=i % 2 == 0) for i in range(8)]
+    picture = str(table_map(starts, place=Place(robot=(0.0, 0.0), table=(0.5, 0.0, 0.9, 1.4))))
+    assert ">robot<" in picture
+    assert ">edge of the table<" in picture
+    assert {"0.1", "0.3", "0.5"} <= set(re.findall(r">(-?[0-9.]+)</text>", picture)), "axes in metres"
+    for success, shape in ((True, "circle"), (False, "path")):
+        name = "solved" if success else "unsolved"
+        assert re.search(f'<{shape} [^>]*class="{name}"', picture), "told apart by shape, on any colour"
+        assert re.search(f'<{shape} [^>]*class="{name}"', str(mark_key(success)))
+
+
+def test_films_of_scenes_are_chosen_by_what_happened():
+    outcomes = {str(i): ["success", "success" if i % 10 else "failure"] for i in range(40)}
+    chosen = chosen_scenes(outcomes, 6)
+    assert len(chosen) == 6
+    assert sum(not int(scene) % 10 for scene in chosen) == 3
+    assert chosen_scenes(outcomes, 0) == []
+    assert len(chosen_scenes(outcomes, 100)) == 40
 
 
 def test_films_pause_and_scrub_and_are_chosen_evenly():
     frames = [np.full((400, 600, 3), value, np.uint8) for value in range(0, 250, 5)]
     film = film_strip(frames)
     assert (film.frames, film.height, film.width) == (24, 192, 288)
-    picture = Image.open(io.BytesIO(base64.b64decode(film.source.partition(",")[2])))
+    picture = Image.open(io.BytesIO(base64.b64decode(film.sources[0].partition(",")[2])))
     assert picture.size == (288, 24 * 192)
     first, last = (np.asarray(picture.convert("RGB"))[row].mean() for row in (5, -5))
     assert (first, last) == (pytest.approx(0, abs=4), pytest.approx(245, abs=4)), (
         "the first and the last frame are shown"
     )
+    whole = film_strip(frames * 3, most=None, frame_ms=100.0)
+    assert (whole.frames, len(whole.sources)) == (150, 3), "all frames, in strips that WebP can hold"
     outcomes = [(str(i), i % 5 == 0) for i in range(50)]
     chosen = chosen_films(outcomes, 8)
     assert sum(int(name) % 5 == 0 for name in chosen) == 4
@@ -254,14 +303,14 @@ def test_every_reason_that_a_skill_gives_is_explained():
 @pytest.mark.slow
 def test_a_report_of_2000_episodes_is_light(tmp_path):
     rng = np.random.default_rng(0)
-    frames = [rng.integers(0, 255, (128, 256, 3), np.uint8).astype(np.uint8) for _ in range(24)]  # worse than any film
+    film = film_strip([rng.integers(0, 255, (128, 256, 3), np.uint8) for _ in range(24)])  # worse than any film
     runs = []
     for policy in ("bc", "octo"):
         results = [replace(result(i, "success" if rng.random() < 0.6 else "failure", "not_lifted"), bag=f"episodes/{i}")
                    for i in range(1000)]  # fmt: skip
         names = [r.episode_id for r in results]
         runs.append(PolicyRun(
-            policy=policy, results=results, folder=policy, films=dict.fromkeys(names[:12], frames),
+            policy=policy, results=results, folder=policy, films=dict.fromkeys(names[:12], film),
             drawn={n: {f"factor {k}": f"{rng.random():.4f}" for k in range(12)} for n in names},
             starts={n: (float(rng.uniform(0.3, 0.6)), float(rng.uniform(-0.2, 0.2))) for n in names},
         ))  # fmt: skip
@@ -279,7 +328,7 @@ def test_a_report_of_2000_episodes_is_light(tmp_path):
         )
         for row in card.evaluations for cell, (won, met, _) in row.by_cell.items() for i in range(met)
     ]  # fmt: skip
-    films = {int(number): frames for number in rng.choice(len(episodes), FILMS, replace=False)}
+    films = {int(number): film for number in rng.choice(len(episodes), FILMS, replace=False)}
     text = experiment_page(ExperimentPage(card=card, episodes=episodes, films=films))
     assert len(text.encode()) < 15_000_000
     assert len(data_of(text)["rows"]) == len(episodes) >= 2000

@@ -27,8 +27,10 @@ SCRIPT = Path(roboxim_eval.__file__).parent / "templates/page.js"
 BROWSER = """
 const fs = require("fs"), [script, data, links] = JSON.parse(fs.readFileSync(0));
 const made = () => ({ dataset: {}, children: [], append() {}, addEventListener() {}, scrollIntoView() {},
+  after() {},
   replaceChildren(first) { this.first = first; }, querySelector: made });
-const elements = { "episode-data": { textContent: data }, list: made(), filter: made(), episodes: made() };
+const elements = { "episode-data": { textContent: data }, list: made(), filter: made(), episodes: made(),
+  search: made(), count: made() };
 global.document = { querySelectorAll: () => [], getElementById: (id) => elements[id], createElement: made,
   addEventListener() {} };
 global.location = { hash: "" };
@@ -90,15 +92,15 @@ def test_numbers_of_an_evaluation_lead_to_their_episodes(tmp_path):
     )  # fmt: skip
     report = Report(title="t", runs=[*runs(), broken], facts={}, versions={}, command="c")
     page = write_report(report, tmp_path).read_text()
-    assert " to " in html.unescape(page).partition("By light")[2][:400], "thirds of numbers"
+    assert " to " in html.unescape(page).partition('data-tab="light"')[2][:900], "thirds of numbers"
     assert "not drawn" in page, "a factor that some episodes lack"
     assert leads_there(page) > 20
     squares = re.findall(r'<a href="(#episodes\?n=[^"]*)"><rect[^>]*><title>(\d+) of (\d+) succeeded', page)
     assert listed(page, [link for link, *_ in squares]) == [(int(a), int(b)) for _, a, b in squares]
-    assert len(re.findall(r'<circle[^>]* data-e="', page)) == 120, "each dot leads to its episode"
-    patterns = re.findall(r'<a href="(#episodes\?n=[^"]*)">(\d+)</a></td></tr>', page)
+    assert len(re.findall(r'class="(?:un)?solved" data-e="', page)) == 120, "each dot leads to its episode"
+    patterns = re.findall(r'<a class="chip" href="(#episodes\?n=[^"]*)"><b>(\d+)</b>', page)
     met = sum(number for _, number in listed(page, [link for link, _ in patterns]))
-    assert met == 2 * 60 + 5, "each episode is on a scene of one pattern"
+    assert met == 2 * 60, "each episode of a measured policy is on a scene of one pattern"
     (errors,) = re.findall(r'<a href="(#episodes[^"]*)">5 of 5 episodes ended in errors', page)
     assert listed(page, [errors]) == [(0, 5)]
 

@@ -46,10 +46,20 @@ class Episode:
     drawn: Mapping[str, str] = field(default_factory=dict)
     """Recorded factors."""
 
+    told: str = ""
+    """What happened in it, in a sentence with numbers; empty: unknown, or it succeeded."""
+    page: str = ""
+    """Path of its own page, from the folder of the page; empty: none."""
+
     @property
     def success(self) -> bool:
         """Whether it succeeded."""
         return self.outcome == "success"
+
+    @property
+    def scene_key(self) -> tuple[int, str, str]:
+        """What episodes that met the same scene share: training, cell and scene."""
+        return self.replicate, self.cell, self.scene
 
     @property
     def trial(self) -> Trial:
@@ -157,7 +167,7 @@ def episodes_json(episodes: Sequence[Episode], films: Iterable[int] = ()) -> Mar
         [
             texts(e.arm), e.replicate, texts(e.cell), texts(e.scene), texts(e.outcome), texts(e.reason),
             texts(e.instruction), e.steps, e.bag, e.message, int(number in shown),
-            [x for name, value in sorted(e.drawn.items()) for x in (texts(name), texts(value))],
+            [x for name, value in sorted(e.drawn.items()) for x in (texts(name), texts(value))], e.told, e.page,
         ]
         for number, e in enumerate(episodes)
     ]  # fmt: skip

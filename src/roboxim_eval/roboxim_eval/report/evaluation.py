@@ -18,27 +18,20 @@ from roboxim_core.seeds import CELL, CELL_NUMBER
 from roboxim_eval.experiments.cells import named_cell
 from roboxim_eval.grouping import grouped
 from roboxim_eval.report.charts.heat_map import HeatMap, difference_map, rate_map
-from roboxim_eval.report.episodes import (
-    Episode,
-    any_of,
-    episodes_json,
-    episodes_link,
-    level_links,
-    recorded_factors,
-)
-from roboxim_eval.report.films import Frames, film_strip
+from roboxim_eval.report.charts.table_map import Place
+from roboxim_eval.report.episodes import Episode, any_of, episodes_json, episodes_link, recorded_factors
+from roboxim_eval.report.films import Film
 from roboxim_eval.report.page import render
 from roboxim_eval.report.parts import (
-    effects_view,
-    factor_name,
+    breakdowns,
     failure_rows,
-    film_views,
+    film_groups,
     films_shown,
     map_view,
-    scenes_view,
+    scene_patterns,
 )
 from roboxim_eval.statistics.multiple import holm
-from roboxim_eval.statistics.paired import Pairs, paired_difference
+from roboxim_eval.statistics.paired import Pairs, newcombe, paired_difference
 from roboxim_eval.statistics.rates import (
     SuccessRate,
     error_line,
@@ -49,7 +42,7 @@ from roboxim_eval.statistics.rates import (
     rates_by,
 )
 from roboxim_eval.statistics.tables import Count
-from roboxim_eval.statistics.verdicts import MARGIN, Verdict, checkpoint_verdict
+from roboxim_eval.statistics.verdicts import MARGIN, ONE_TRAINING, Verdict, checkpoint_names, checkpoint_verdict
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,14 +53,22 @@ class PolicyRun:
     """Name of the policy."""
     results: Sequence[EpisodeResult]
     """Results of the policy's episodes."""
-    films: Mapping[str, Frames] = field(default_factory=dict)
-    """Episode id to RGB frames, uint8, each of shape (height, width, 3), cameras side by side."""
+    films: Mapping[str, Film] = field(default_factory=dict)
+    """Episode id to its film, cameras side by side."""
     drawn: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     """Episode id to the named draws of its reset components, e.g. ``{"interaction_area": "left"}``."""
     starts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Episode id to the place of the task's first object at tick 0: x away from the robot, y to its left [m]."""
+    told: Mapping[str, str] = field(default_factory=dict)
+    """Episode id to what happened in it, in a sentence with numbers."""
+    pages: Mapping[str, str] = field(default_factory=dict)
+    """Episode id to the path of its own page, from the page's folder."""
+    scenes: Mapping[str, str] = field(default_factory=dict)
+    """Episode id to the name of its scene; policies that met the same scene share it. Others: by their index."""
     folder: str = ""
     """Path of the policy's run from the page's folder, to which bags are relative; empty: the same folder."""
+    trained: bool = False
+    """Whether the policy is a checkpoint of a training; sentences then say so."""
 
     @property
     def rates_by_dimension(self) -> dict[str, dict[str, SuccessRate]]:
@@ -83,16 +84,21 @@ class PolicyRun:
                 found[dimension] = _rates_by_name(self.results, groups)
         return found
 
+    def scene(self, result: EpisodeResult) -> str:
+        """Return the name of an episode's scene."""
+        return self.scenes.get(result.episode_id, str(result.index))
+
     @property
     def episodes(self) -> list[Episode]:
         """The episodes, as a page shows them."""
         return [
             Episode(
                 arm=self.policy, cell=self.drawn.get(result.episode_id, {}).get(CELL, ""),
-                scene=str(result.index), outcome=result.outcome, reason=result.reason,
+                scene=self.scene(result), outcome=result.outcome, reason=result.reason,
                 message=result.message, instruction=result.instruction, steps=result.steps,
                 bag="/".join(filter(None, (self.folder, result.bag))) if result.bag else "",
-                start=self.starts.get(result.episode_id),
+                start=self.starts.get(result.episode_id), told=self.told.get(result.episode_id, ""),
+                page=self.pages.get(result.episode_id, ""),
                 drawn=recorded_factors(
                     self.drawn.get(result.episode_id, {}), self.starts.get(result.episode_id)
                 ),
@@ -119,6 +125,10 @@ class Report:
     """How the number of episodes was decided, where it was not fixed beforehand; empty: it was fixed."""
     undecided: bool = False
     """Whether planned looks at the results did not decide; then the comparison does not decide either."""
+    place: Place | None = None
+    """Where robot and table are; none: unknown, or not the same in all episodes."""
+    warnings: Sequence[str] = ()
+    """What weakens the results."""
 
 
 def _rates_by_name(results: Sequence[EpisodeResult], names: Mapping[str, str]) -> dict[str, SuccessRate]:
@@ -128,8 +138,8 @@ def _rates_by_name(results: Sequence[EpisodeResult], names: Mapping[str, str]) -
 
 def pairs_of(first: PolicyRun, second: PolicyRun) -> Pairs:
     """Return the outcomes of two policies on the scenes that both met."""
-    one, two = ({r.index: r.outcome == "success" for r in run.results} for run in (first, second))
-    return Pairs.of((one[index], two[index]) for index in one if index in two)
+    one, two = ({run.scene(r): r.outcome == "success" for r in run.results} for run in (first, second))
+    return Pairs.of((one[scene], two[scene]) for scene in one if scene in two)
 
 
 def comparisons(runs: Sequence[PolicyRun], *, undecided: bool = False) -> list[Verdict]:
@@ -151,7 +161,8 @@ def comparisons(runs: Sequence[PolicyRun], *, undecided: bool = False) -> list[V
     as_good = holm([paired_difference(pairs).p_as_good(MARGIN) for _, pairs in found])
     verdicts = [
         checkpoint_verdict(
-            first.policy, other.policy, pairs, p_value=p_value, p_as_good=equal, comparisons=len(found)
+            first.policy, other.policy, pairs, p_value=p_value, p_as_good=equal, comparisons=len(found),
+            trained=(first.trained, other.trained),
         )
         for (other, pairs), p_value, equal in zip(found, adjusted, as_good, strict=True)
     ]  # fmt: skip
@@ -169,11 +180,13 @@ def _by_looks(verdict: Verdict, first: PolicyRun, second: PolicyRun, pairs: Pair
     value, low, high = (
         f"{round(100 * x) + 0:+d}" for x in (verdict.difference.value, verdict.difference.low, verdict.difference.high)
     )
+    trained = first.trained, second.trained
+    one, other = checkpoint_names(first.policy, second.policy, trained)
     sentence = (
-        f"Cannot tell whether this checkpoint of {first.policy} differs from this one of {second.policy}: the "
-        f"difference is {value} points ({low} to {high}, without account of the looks), but the planned looks did not "
-        f"decide, on {pairs.scenes} scenes that both met. One training says nothing about the way to train."
+        f"Cannot tell whether {one} differs from {other}: the difference is {value} points ({low} to {high}, without "
+        f"account of the looks), but the planned looks did not decide, on {pairs.scenes} scenes that both met."
     )
+    sentence += f" {ONE_TRAINING}" if any(trained) else ""
     return replace(verdict, sentence=sentence)
 
 
@@ -191,7 +204,25 @@ def verdict_line(runs: Sequence[PolicyRun], *, undecided: bool = False) -> str:
         for run in runs
         if not is_measured(run.results)
     ]
-    return " ".join([*broken, *(verdict.sentence for verdict in comparisons(runs, undecided=undecided))])
+    verdicts = (verdict.sentence for verdict in comparisons(runs, undecided=undecided))
+    return " ".join([*broken, *verdicts, *unpaired_sentences(runs)])
+
+
+def unpaired_sentences(runs: Sequence[PolicyRun]) -> list[str]:
+    """Compare the first policy with each other one that met none of its scenes, by their rates alone."""
+    if not runs or not is_measured(runs[0].results):
+        return []
+    first, found = runs[0], []
+    for other in runs[1:]:
+        if is_measured(other.results) and not pairs_of(first, other).scenes:
+            rates = rate_of(first.results), rate_of(other.results)
+            apart = rates[0].rate - rates[1].rate
+            value, low, high = (f"{round(100 * x) + 0:+d}" for x in (apart, *newcombe(*rates)))
+            found.append(
+                f"{first.policy} and {other.policy} met no scene in common: their rates differ by {value} points "
+                f"({low} to {high}), over all their episodes."
+            )
+    return found
 
 
 def summary(report: Report) -> dict[str, Any]:
@@ -238,29 +269,25 @@ def write_report(report: Report, folder: Path) -> Path:
 
 def evaluation_page(report: Report) -> str:
     """Return the page."""
-    episodes = [episode for run in report.runs for episode in run.episodes]
-    ids = [result.episode_id for run in report.runs for result in run.results]
-    owners = [run for run in report.runs for _ in run.results]
-    films = {
-        number: film_strip(owner.films[name])
-        for number, (name, owner) in enumerate(zip(ids, owners, strict=True))
-        if len(owner.films.get(name, ()))
-    }
-    arms = [run.policy for run in report.runs]
-    measured = [run for run in report.runs if is_measured(run.results)]
-    only = {} if len(measured) == len(arms) else {"arm": any_of(run.policy for run in measured)}
+    runs, arms = report.runs, [run.policy for run in report.runs]
+    episodes = [episode for run in runs for episode in run.episodes]
+    shown = [run.films.get(result.episode_id) for run in runs for result in run.results]
+    films = {number: film for number, film in enumerate(shown) if film is not None}
+    measured = [run for run in runs if is_measured(run.results)]
     return render(
         "evaluation.html",
         title=report.title,
         report=report,
-        verdicts=comparisons(report.runs, undecided=report.undecided),
-        broken=[run.policy for run in report.runs if run not in measured],
-        runs=[_run_view(run) for run in report.runs],
+        verdicts=comparisons(runs, undecided=report.undecided),
+        unpaired=unpaired_sentences(runs),
+        broken=[run.policy for run in runs if run not in measured],
+        arms=[run.policy for run in measured],
+        runs=[_run_view(run) for run in runs],
         heat=_heat_maps(measured),
-        map=map_view(episodes, arms),
-        scenes=scenes_view(episodes, arms) if len(arms) > 1 else None,
-        effects=effects_view([e for run in measured for e in run.episodes], **only),
-        films=film_views(episodes, films),
+        map=map_view(episodes, arms, report.place),
+        patterns=scene_patterns(episodes, [run.policy for run in measured]),
+        breakdowns=breakdowns([e for run in measured for e in run.episodes], [run.policy for run in measured]),
+        groups=film_groups(episodes, films, arms),
         films_shown=films_shown(episodes, films),
         data=episodes_json(episodes, films),
     )
@@ -306,24 +333,13 @@ def _run_view(run: PolicyRun) -> dict[str, Any]:
     measured = is_measured(run.results)
     steps = [result.steps for result in run.results if result.outcome == "success"]
     inference = [1000 * result.inference_s / result.steps for result in run.results if result.steps]
-    dimensions = run.rates_by_dimension if measured else {}
     return {
         "policy": run.policy,
         "rate": rate_of(run.results) if measured else None,
         "errors": error_line(run.results),
         "link": episodes_link(arm=run.policy),
         "errors_link": episodes_link(arm=run.policy, outcome="error"),
-        "dimensions": [(factor_name(name), rates, _level_links(run, name)) for name, rates in dimensions.items()],
         "failures": failure_rows(run.episodes, arm=run.policy),
         "median_steps": int(np.median(steps)) if steps else None,
         "inference_ms": float(np.median(inference)) if inference else None,
     }
-
-
-def _level_links(run: PolicyRun, dimension: str) -> dict[str, str]:
-    """Return the links to the episodes of a dimension's levels."""
-    if dimension == "instruction":
-        said = {result.instruction for result in run.results}
-        return {text: episodes_link(arm=run.policy, instruction=text) for text in said}
-    values = {episode: drawn[dimension] for episode, drawn in run.drawn.items() if dimension in drawn}
-    return level_links(dimension, values, episodes_link, arm=run.policy)

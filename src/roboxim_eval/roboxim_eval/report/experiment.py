@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import PurePath
 from typing import Any
 
@@ -22,6 +22,7 @@ from roboxim_eval.experiments.proving.proofs import PICTURES
 from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
 from roboxim_eval.report.charts.forest import RATES, ForestRow, Scale, difference_scale
 from roboxim_eval.report.charts.heat_map import HeatMap, difference_map, rate_map
+from roboxim_eval.report.charts.table_map import Place
 from roboxim_eval.report.episodes import (
     Episode,
     Link,
@@ -31,15 +32,15 @@ from roboxim_eval.report.episodes import (
     episodes_link,
     no_link,
 )
-from roboxim_eval.report.films import Frames, film_strip
+from roboxim_eval.report.films import Film
 from roboxim_eval.report.page import render
 from roboxim_eval.report.parts import (
-    effects_view,
+    breakdowns,
     failure_rows,
-    film_views,
+    film_groups,
     films_shown,
     map_view,
-    scenes_view,
+    scene_patterns,
 )
 from roboxim_eval.report.vocabulary import vocabulary
 from roboxim_eval.statistics.paired import newcombe
@@ -48,17 +49,21 @@ from roboxim_eval.statistics.replicates import Interval, condition_rate
 from roboxim_eval.statistics.tables import Arm, Count, total
 
 SCORES = {
-    "absolute": ("absolute, u", "success of the leave-out condition in held-out cells; it ranks models"),
-    "baseline": ("baseline, s", "success of the baseline in the same cells"),
-    "gap": ("gap, s - u", "what holding out costs; the primary test"),
-    "relative": ("relative, u / s", "the share of the baseline's success that is left"),
-    "words": ("words, u - b", "success lost without an instruction; if it is small, the scene suffices"),
-    "competence": ("competence", "leave-out minus baseline in cells that both have seen; far from 0, the gap is "
-                   "not due to the held-out cells alone"),
-    "substitution": ("substitution", "share of failed held-out episodes that satisfied another instruction of the "
-                     "training; 0 says nothing where no scene allows one"),
+    "absolute": ("absolute, u", "success in held-out cells", "success of the leave-out condition in held-out cells; "
+                 "it ranks models"),
+    "baseline": ("baseline, s", "success of the baseline there", "success of the baseline in the same cells"),
+    "gap": ("gap, s - u", "what holding out costs", "what holding out costs; the primary test"),
+    "relative": ("relative, u / s", "share of the baseline's success that is left", "the share of the baseline's "
+                 "success that is left"),
+    "words": ("words, u - b", "what the words are worth", "success lost without an instruction; if it is small, the "
+              "scene suffices"),
+    "competence": ("competence", "difference where both have trained", "leave-out minus baseline in cells that both "
+                   "have seen; far from 0, the gap is not due to the held-out cells alone"),
+    "substitution": ("substitution", "failures that did something else it was taught", "share of failed held-out "
+                     "episodes that satisfied another instruction of the training; 0 says nothing where no scene "
+                     "allows one"),
 }  # fmt: skip
-"""Score of a card to its name and what it says."""
+"""Score of a card to its name in tables, what a reader calls it, and what it says."""
 POINTS = ("gap", "words", "competence")
 """Scores that are differences, shown in points."""
 
@@ -73,8 +78,10 @@ class ExperimentPage:
     """Episodes of the final evaluations; empty: only the card is there, and no number has a link."""
     checkpoints: Sequence[Episode] = ()
     """Episodes of the learning curve; their arms are those of `checkpoint_arm`."""
-    films: Mapping[int, Frames] = field(default_factory=dict)
-    """Place in `episodes` to RGB frames, uint8, each of shape (height, width, 3)."""
+    films: Mapping[int, Film] = field(default_factory=dict)
+    """Place in `episodes` to a film."""
+    place: Place | None = None
+    """Where robot and table are; none: unknown, or not the same in all episodes."""
     command: str = ""
     """Command that runs the experiment again."""
     warnings: Sequence[str] = ()
@@ -89,7 +96,7 @@ def experiment_page(page: ExperimentPage) -> str:
     """
     card, design = page.card, design_of_card(page.card)
     arms = {name: Arm(replicates=tuple(rows)) for name, rows in outcomes_of_card(card).counts.items()}
-    films = {number: film_strip(frames) for number, frames in page.films.items() if len(frames)}
+    names = list(arms)
     link: Link = episodes_link if page.episodes else no_link
     return render(
         "experiment.html",
@@ -107,15 +114,20 @@ def experiment_page(page: ExperimentPage) -> str:
         forests=_forests(card, design, arms, link),
         emphasised=_has_primary(card),
         curve=_curve(card, link if page.checkpoints else no_link),
-        map=map_view(page.episodes, list(arms)),
-        effects=effects_view(page.episodes),
-        failures=[(name, failure_rows([e for e in page.episodes if e.arm == name], arm=name)) for name in arms],
-        scenes=scenes_view(page.episodes, list(arms)) if len(arms) > 1 else None,
-        films=film_views(page.episodes, films),
-        films_shown=films_shown(page.episodes, films),
-        data=episodes_json([*page.episodes, *page.checkpoints], films),
+        map=map_view(page.episodes, names, page.place),
+        breakdowns=breakdowns(page.episodes, names),
+        failures=[(name, failure_rows([e for e in page.episodes if e.arm == name], arm=name)) for name in names],
+        patterns=scene_patterns(page.episodes, names),
+        groups=film_groups(page.episodes, page.films, names),
+        films_shown=films_shown(page.episodes, page.films),
+        data=episodes_json([*page.episodes, *page.checkpoints], page.films),
         has_episodes=bool(page.episodes),
-        vocabulary=vocabulary(card.experiment.config, design.cells),
+        vocabulary=[
+            one
+            for one in vocabulary(card.experiment.config, design.cells)
+            if one.names and any(asdict(one.names).values())
+        ],
+        proofs=_proofs(card),
         unproved=any(passed < made for name, (passed, made) in card.proofs.items() if PICTURES not in name),
         provenance=provenance_of(card),
         command=page.command,
@@ -142,11 +154,11 @@ def _facts(card: Card, design: Design) -> dict[str, str]:
         trainings = f"{config.replicates.count} training{'s' * (config.replicates.count > 1)}"
         size = f"{trainings} x {design.compared_scenes} rollouts"
         if len(config.compare) > 1:
-            least = "no drop" if worst is None else f"{100 * worst:.0f} points"
-            size += f"; {least} if no other comparison is found"
-        facts["planned to find"] = (
-            f"no drop from 80 % with a chance of 80 % ({size})" if drop is None
-            else f"a drop of {100 * drop:.0f} points from 80 %, with a chance of 80 % ({size})"
+            alone = "none" if worst is None else f"a drop to {80 - 100 * worst:.0f} %"
+            size += f"; if no other comparison is found: {alone}"
+        facts["what it could find"] = (
+            f"too small to find any drop from 80 % in 4 of 5 such experiments ({size})" if drop is None
+            else f"a drop from 80 % to {80 - 100 * drop:.0f} %, in 4 of 5 such experiments ({size})"
         )  # fmt: skip
     decide = config.decide
     facts["decided by"] = (
@@ -156,8 +168,15 @@ def _facts(card: Card, design: Design) -> dict[str, str]:
     return facts
 
 
+def _proofs(card: Card) -> tuple[list[str], list[tuple[str, str]]]:
+    """Return the proofs of delivery that all episodes passed, and the others with their counts."""
+    whole = [name for name, (passed, made) in card.proofs.items() if passed == made]
+    rest = [(name, f"{passed} of {made}") for name, (passed, made) in card.proofs.items() if passed < made]
+    return whole, rest
+
+
 def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
-    """Yield name, value, interval, meaning and link of each score; a refused or unmeasured one says why.
+    """Yield names, value, interval, meaning and link of each score; a refused or unmeasured one says why.
 
     Args:
         card: The card.
@@ -165,7 +184,7 @@ def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
     """
     found = card.scores or {}
     behind = behind_scores(card) if found else {}
-    for key, (name, meaning) in SCORES.items():
+    for key, (name, plain, meaning) in SCORES.items():
         if key not in found:
             continue
         value = found[key]
@@ -182,7 +201,7 @@ def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
         elif value is not None:
             shown, interval = _score(value, points=key in POINTS)
         to = "" if shown == "-" else link(**behind[key])
-        yield {"name": name, "value": shown, "interval": interval, "meaning": meaning, "link": to}
+        yield {"name": name, "plain": plain, "value": shown, "interval": interval, "meaning": meaning, "link": to}
 
 
 def behind_scores(card: Card) -> dict[str, dict[str, str]]:

@@ -7,53 +7,72 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from roboxim_eval.film_options import FILM_FRAMES, FRAME_HEIGHT
+
 Frames = Sequence[npt.NDArray[np.uint8]]
-FILM_FRAMES = 24
-"""Largest number of frames of a film."""
-FRAME_HEIGHT = 192
-"""Largest height of a frame [px]; 24 of them stay far below WebP's limit of 16,383."""
+FRAME_MS = 150
+"""Time of a frame by default [ms]: films of a report are faster than the robot."""
+STRIP_PX = 12_000
+"""Largest height of a strip [px], below WebP's limit of 16,383; longer films have several strips."""
 QUALITY = 60
 
 
 @dataclass(frozen=True, kw_only=True)
 class Film:
-    """A film as a strip of frames."""
+    """A film as strips of frames."""
 
-    source: str
-    """Data URI of a WebP picture with the frames below one another."""
+    sources: tuple[str, ...]
+    """Data URIs of WebP pictures, each with frames below one another."""
     frames: int
     """Number of frames."""
     width: int
     """Width of a frame [px]."""
     height: int
     """Height of a frame [px]."""
+    frame_ms: float = FRAME_MS
+    """Time of a frame [ms]."""
 
 
-def film_strip(frames: Frames) -> Film:
-    """Encode at most `FILM_FRAMES` frames, evenly chosen, the first and the last included.
+def film_strip(
+    frames: Frames, *, most: int | None = FILM_FRAMES, height: int = FRAME_HEIGHT, frame_ms: float = FRAME_MS
+) -> Film:
+    """Encode frames, evenly chosen, the first and the last included.
 
     Args:
         frames: RGB, uint8, each of shape (height, width, 3); at least one.
+        most: Largest number of frames; none: all.
+        height: Largest height of a frame [px].
+        frame_ms: Time of a frame [ms].
     """
-    chosen = np.unique(np.linspace(0, len(frames) - 1, min(FILM_FRAMES, len(frames))).round().astype(int))
-    height, width = frames[0].shape[:2]
-    scale = min(1.0, FRAME_HEIGHT / height)
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    strip = Image.new("RGB", (size[0], size[1] * len(chosen)))
+    count = len(frames) if most is None else min(most, len(frames))
+    chosen = np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int)).tolist()
+    scale = min(1.0, height / frames[0].shape[0])
+    size = tuple(max(1, round(side * scale)) for side in frames[0].shape[1::-1])
+    each = max(1, STRIP_PX // size[1])
+    return Film(
+        sources=tuple(_strip(frames, chosen[i : i + each], size) for i in range(0, len(chosen), each)),
+        frames=len(chosen), width=size[0], height=size[1], frame_ms=frame_ms,
+    )  # fmt: skip
+
+
+def _strip(frames: Frames, chosen: Sequence[int], size: tuple[int, ...]) -> str:
+    """Encode frames below one another."""
+    width, height = size
+    strip = Image.new("RGB", (width, height * len(chosen)))
     for place, number in enumerate(chosen):
         picture = Image.fromarray(frames[number])
-        strip.paste(picture if scale == 1.0 else picture.resize(size, Image.Resampling.LANCZOS), (0, place * size[1]))
+        shown = picture if picture.size == size else picture.resize((width, height), Image.Resampling.LANCZOS)
+        strip.paste(shown, (0, place * height))
     buffer = io.BytesIO()
-    strip.save(buffer, "WEBP", quality=QUALITY, method=4)
-    source = "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode()
-    return Film(source=source, frames=len(chosen), width=size[0], height=size[1])
+    strip.save(buffer, "WEBP", quality=QUALITY, method=1)
+    return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
 def chosen_films(outcomes: Sequence[tuple[str, bool]], most: int) -> list[str]:
@@ -72,3 +91,20 @@ def chosen_films(outcomes: Sequence[tuple[str, bool]], most: int) -> list[str]:
 
 def _spread(items: list[str], most: int) -> list[str]:
     return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, most).round().astype(int))] if most else []
+
+
+def chosen_scenes(outcomes: Mapping[str, Sequence[str]], most: int) -> list[str]:
+    """Return the scenes whose films are shown side by side: as many of each pattern of outcomes, spread over the run.
+
+    Args:
+        outcomes: Scene to the outcomes of all policies, in the order of the run.
+        most: Largest number of scenes.
+    """
+    patterns: dict[tuple[str, ...], list[str]] = {}
+    for scene, found in outcomes.items():
+        patterns.setdefault(tuple(found), []).append(scene)
+    shares = dict.fromkeys(patterns, 0)
+    for _ in range(min(most, len(outcomes))):
+        open_ones = [pattern for pattern in patterns if shares[pattern] < len(patterns[pattern])]
+        shares[min(open_ones, key=lambda pattern: (shares[pattern], len(set(pattern)) < 2))] += 1
+    return [scene for pattern, share in shares.items() for scene in _spread(patterns[pattern], share)]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 from roboxim_eval.report.charts.forest import forest_axis, forest_bar, rate_bar
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 
 def render(template: str, **values: Any) -> str:
@@ -14,6 +18,11 @@ def render(template: str, **values: Any) -> str:
         template: Name of a template of this package.
         values: What the template shows; all texts are escaped.
     """
+    return _environment().get_template(template).render(**values)
+
+
+@cache
+def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -22,4 +31,4 @@ def render(template: str, **values: Any) -> str:
     )  # fmt: skip
     environment.filters["percent"] = lambda value: f"{100 * value:.0f} %"
     environment.globals |= {"forest_bar": forest_bar, "forest_axis": forest_axis, "rate_bar": rate_bar}
-    return environment.get_template(template).render(**values)
+    return environment

@@ -1,4 +1,4 @@
-"""Parts that pages have in common: failures, maps, scenes, films, factors. Each is what its macro shows."""
+"""Parts that pages have in common: failures, maps, films, breakdowns. Each is what its macro shows."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from roboxim_eval.report.charts.scenes import scene_chart, scene_rows
-from roboxim_eval.report.charts.table_map import MOST_DOTS, Grid, Start, table_map
+from roboxim_eval.grouping import grouped
+from roboxim_eval.report.charts.table_map import Place, Start, table_maps
 from roboxim_eval.report.episodes import Episode, any_of, episodes_link, level_links
 from roboxim_eval.report.films import Film
 from roboxim_eval.report.reasons import UNNAMED, explained
-from roboxim_eval.statistics.factors import NOT_DRAWN, factor_effects
+from roboxim_eval.statistics.factors import NOT_DRAWN, factor_effects, level_order
+from roboxim_eval.statistics.rates import success_rate
+
+INSTRUCTION = "instruction"
+"""The factor that every episode has, recorded or not."""
 
 
 def failure_rows(episodes: Sequence[Episode], **query: object) -> list[dict[str, Any]]:
@@ -26,8 +30,14 @@ def failure_rows(episodes: Sequence[Episode], **query: object) -> list[dict[str,
     ]  # fmt: skip
 
 
-def map_view(episodes: Sequence[Episode], arms: Sequence[str]) -> dict[str, Any] | None:
-    """Return a map of the table for each arm; None: no start is known."""
+def map_view(episodes: Sequence[Episode], arms: Sequence[str], place: Place | None = None) -> dict[str, Any] | None:
+    """Return a map of the table for each arm; None: no start is known.
+
+    Args:
+        episodes: All episodes of the page.
+        arms: The arms that have a map.
+        place: Where robot and table are; none: unknown.
+    """
     starts = {
         arm: [
             Start(x=e.start[0], y=e.start[1], success=e.success, number=number)
@@ -37,45 +47,66 @@ def map_view(episodes: Sequence[Episode], arms: Sequence[str]) -> dict[str, Any]
         for arm in arms
     }
     known = {arm: mine for arm, mine in starts.items() if mine}
-    if not known:
-        return None
-    grid = Grid.of([s for mine in known.values() for s in mine], max(map(len, known.values())))
-    return {
-        "pictures": {arm: table_map(mine, grid) for arm, mine in known.items()},
-        "square_cm": 100 * grid.side,
-        "dots": any(len(mine) <= MOST_DOTS for mine in known.values()),
-    }
+    return table_maps(known, place) if known else None
 
 
-def scenes_view(episodes: Sequence[Episode], arms: Sequence[str]) -> dict[str, Any] | None:
-    """Return the comparison scene by scene; None: no two arms met the same scene."""
-    rows = scene_rows(list(enumerate(episodes)), arms)
-    if not rows:
-        return None
-    patterns = [
-        (outcomes, len(scenes), episodes_link(n=any_of(n for scene in scenes for n in scene if n is not None)))
-        for outcomes, scenes in rows
+def scene_patterns(episodes: Sequence[Episode], arms: Sequence[str]) -> list[tuple[str, int, str]]:
+    """Return what arms did in the scenes that all of them met, in words, with the number of scenes and their link.
+
+    Args:
+        episodes: All episodes of the page; their place is their number.
+        arms: The arms; of more than three, only "all", "some" and "none" are told apart.
+    """
+    met: dict[tuple[int, str, str], dict[str, int]] = {}
+    for number, e in enumerate(episodes):
+        met.setdefault(e.scene_key, {})[e.arm] = number
+    found: dict[str, list[int]] = {}
+    for scene in met.values():
+        if len(arms) > 1 and all(arm in scene for arm in arms):
+            solved = [arm for arm in arms if episodes[scene[arm]].success]
+            found.setdefault(_who(solved, arms), []).extend(scene[arm] for arm in arms)
+    order = {"all succeeded": 0, "both succeeded": 0, "neither succeeded": 2, "none succeeded": 2}
+    return [
+        (text, len(numbers) // len(arms), episodes_link(n=any_of(numbers)))
+        for text, numbers in sorted(found.items(), key=lambda item: (order.get(item[0], 1), -len(item[1])))
     ]
-    return {"arms": tuple(arms), "picture": scene_chart(rows, arms), "patterns": patterns}
 
 
-def film_views(episodes: Sequence[Episode], films: Mapping[int, Film]) -> list[dict[str, Any]]:
-    """Return the films with their episodes, failures first.
+def _who(solved: Sequence[str], arms: Sequence[str]) -> str:
+    if len(solved) in (0, len(arms)):
+        words = ("neither", "both") if len(arms) == 2 else ("none", "all")
+        return f"{words[bool(solved)]} succeeded"
+    return f"only {' and '.join(solved)} succeeded" if len(arms) <= 3 else "some succeeded"
+
+
+def film_groups(
+    episodes: Sequence[Episode], films: Mapping[int, Film], arms: Sequence[str]
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Return the films by scene, those of one scene side by side, scenes that not all solved first.
 
     Args:
         episodes: All episodes of the page.
         films: Number of an episode to its film.
+        arms: The arms, in the order in which they are shown.
     """
-    shown = sorted(films, key=lambda number: (episodes[number].success, number))
-    return [
-        {"number": number, "film": films[number], "episode": episodes[number], "name": _name(episodes[number])}
-        for number in shown
+    scenes: dict[tuple[int, str, str], list[int]] = {}
+    for number in sorted(films, key=lambda number: arms.index(episodes[number].arm)):
+        scenes.setdefault(episodes[number].scene_key, []).append(number)
+    groups = [
+        {
+            "instruction": episodes[numbers[0]].instruction,
+            "name": ", ".join(filter(None, (episodes[numbers[0]].cell, f"scene {episodes[numbers[0]].scene}"))),
+            "films": [{"number": n, "film": films[n], "episode": episodes[n]} for n in numbers],
+        }
+        for numbers in scenes.values()
     ]
+    return sorted(groups, key=_solved)
 
 
-def _name(episode: Episode) -> str:
-    where = f"{episode.arm}.{episode.replicate}, {episode.cell}" if episode.cell else episode.arm
-    return f"{where}, scene {episode.scene}"
+def _solved(group: Mapping[str, Any]) -> tuple[int, float]:
+    """Sort scenes: those in which outcomes differ, then failures, then successes."""
+    won = [one["episode"].success for one in group["films"]]
+    return int(len(set(won)) < 2), sum(won) / len(won)
 
 
 def films_shown(episodes: Sequence[Episode], films: Mapping[int, Film]) -> str:
@@ -91,25 +122,63 @@ def films_shown(episodes: Sequence[Episode], films: Mapping[int, Film]) -> str:
     )
 
 
-def effects_view(episodes: Sequence[Episode], **query: object) -> list[dict[str, Any]]:
-    """Return the effects of the recorded factors and of the start position, with a link for each level.
+def breakdowns(episodes: Sequence[Episode], arms: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the success of each arm by each recorded factor and by instruction; arms are never pooled.
+
+    Factors that divide the episodes in the same way are one table. The p value of a factor is that of the permutation
+    test within arm, training and cell; none where the factor is the design's.
 
     Args:
-        episodes: The episodes of a page, or some of them.
-        query: Properties that these have and the others have not, see `episodes_link`.
+        episodes: Episodes of the arms.
+        arms: The arms, in the order of the columns.
     """
-    trials = [trial for e in episodes if (trial := e.trial).drawn]
-    found = []
-    for effect in factor_effects(trials):
-        name = effect.factor
-        values = {trial.episode: trial.drawn[name] for trial in trials if name in trial.drawn}
-        links = level_links(name, values, episodes_link, **query)
-        links[NOT_DRAWN] = episodes_link(**query, **{name: NOT_DRAWN})
-        found.append({
-            "name": factor_name(name), "p": effect.adjusted,
-            "levels": [(level, rate, links[level]) for level, rate in effect.levels.items()],
+    trials = {number: trial for number, e in enumerate(episodes) if (trial := e.trial).drawn}
+    p_values = {effect.factor: effect.adjusted for effect in factor_effects(list(trials.values()))}
+    names = [*p_values, *sorted({name for e in episodes for name in e.drawn} - set(p_values)), INSTRUCTION]
+    tables: dict[tuple[frozenset[int], ...], dict[str, Any]] = {}
+    for name in names:
+        table = _breakdown(episodes, arms, name)
+        parts = tuple(sorted((frozenset(level["numbers"]) for level in table["levels"]), key=min))
+        if len(parts) < 2:
+            continue
+        if parts in tables:
+            tables[parts]["name"] += f", {table['name']}"
+        else:
+            tables[parts] = table | {"p": p_values.get(name)}
+    return list(tables.values())
+
+
+def _breakdown(episodes: Sequence[Episode], arms: Sequence[str], name: str) -> dict[str, Any]:
+    """Return the levels of a factor, with the rate of each arm and its link; none: the arm did not meet the level."""
+    if name == INSTRUCTION:
+        values = {str(n): e.instruction for n, e in enumerate(episodes) if e.instruction}
+        levels = dict(values)
+    else:
+        values = {str(n): e.drawn[name] for n, e in enumerate(episodes) if name in e.drawn}
+        levels = grouped(values)
+        if levels:
+            levels |= {str(n): NOT_DRAWN for n, e in enumerate(episodes) if e.drawn and name not in e.drawn}
+    members: dict[str, list[int]] = {}
+    for number, level in levels.items():
+        members.setdefault(level, []).append(int(number))
+    rows = []
+    for level in sorted(members, key=level_order):
+        mine = {arm: [n for n in members[level] if episodes[n].arm == arm] for arm in arms}
+        rows.append({
+            "level": level, "numbers": members[level],
+            "cells": [_cell(episodes, name, level, values, mine[arm], arm) for arm in arms],
         })  # fmt: skip
-    return found
+    return {"name": factor_name(name), "levels": rows}
+
+
+def _cell(
+    episodes: Sequence[Episode], name: str, level: str, values: Mapping[str, str], numbers: Sequence[int], arm: str
+) -> dict[str, Any] | None:  # fmt: skip
+    if not numbers:
+        return None
+    rate = success_rate(sum(episodes[n].success for n in numbers), len(numbers))
+    links = level_links(name, values, episodes_link, arm=arm)
+    return {"rate": rate, "link": links.get(level) or episodes_link(arm=arm, **{name: NOT_DRAWN})}
 
 
 def factor_name(name: str) -> str:

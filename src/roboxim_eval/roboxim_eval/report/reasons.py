@@ -7,7 +7,7 @@ import re
 EXPLANATIONS = {
     # the policy did not get there
     "max_steps": "The limit of actions was reached before any condition was.",
-    "not_grasped": "The fingers never held the object from two sides.",
+    "not_grasped": "The fingers did not hold the object from two sides.",
     "not_lifted": "The object was held or touched, but not raised far enough.",
     "not_pushed": "The object was not moved far enough along the direction.",
     "not_straight": "The object left the straight line to its goal.",

@@ -155,13 +155,13 @@ def _between(residuals: Array, members: Array) -> Array:
 
 def _rates(success: Array, groups: Array) -> dict[str, SuccessRate]:
     found = {}
-    for level in sorted(set(groups.tolist()), key=_order):
+    for level in sorted(set(groups.tolist()), key=level_order):
         mine = success[groups == level]
         found[level] = success_rate(int(mine.sum()), len(mine))
     return found
 
 
-def _order(level: str) -> tuple[int, float, str]:
+def level_order(level: str) -> tuple[int, float, str]:
     """Sort numbers and groups of numbers by their value, names after them."""
     try:
         return 0, float(level.partition(" to ")[0]), level

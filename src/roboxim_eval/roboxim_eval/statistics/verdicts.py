@@ -24,6 +24,10 @@ MARGIN = 0.10
 """Largest difference that counts as equally good where nobody chooses another."""
 
 
+ONE_TRAINING = "One training says nothing about the way to train."
+"""What readers of a checkpoint's result must not conclude."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
     """Result of a comparison in words."""
@@ -143,8 +147,9 @@ def checkpoint_verdict(
     p_as_good: float | None = None,
     comparisons: int = 1,
     alpha: float = 0.05,
+    trained: tuple[bool, bool] = (True, True),
 ) -> Verdict:
-    """Compare two checkpoints on the same scenes (Q1).
+    """Compare two checkpoints, or policies that nobody trained, on the same scenes (Q1).
 
     Args:
         first: Name of the first checkpoint, for the sentence.
@@ -155,6 +160,7 @@ def checkpoint_verdict(
         p_as_good: Adjusted p value of a difference within the margin; none: by the scaled interval of the difference.
         comparisons: Number of comparisons that the p values are adjusted for.
         alpha: Largest p value that shows a difference, or one within the margin; at most 0.05.
+        trained: Whether each is a checkpoint; sentences name others, e.g. ``random``, without that word.
 
     Raises:
         InvalidRequestError: If there are no scenes.
@@ -166,33 +172,46 @@ def checkpoint_verdict(
     equal = alone if p_as_good is None else p_as_good
     narrow = _narrowed(interval, alpha)
     where = "on the one scene that both met" if pairs.scenes == 1 else f"on {pairs.scenes} scenes that both met"
+    one, other = checkpoint_names(first, second, trained)
+    starting = f"T{one[1:]}" if trained[0] else one
     kind: Kind
     if own <= alpha:
         kind = "lower" if found.value < 0 else "higher"
-        sentence = f"This checkpoint of {first} is {kind} than this one of {second} by {_points(interval)}, {where}."
+        verb = (
+            f"is {kind} than"
+            if all(trained)
+            else {"lower": "succeeds less often than", "higher": "succeeds more often than"}[kind]
+        )
+        sentence = f"{starting} {verb} {other} by {_points(interval)}, {where}."
     elif equal <= alpha:
         kind = "as_good"
         adjusted = _adjusted(equal, comparisons)
         sentence = (
-            f"This checkpoint of {first} is as good as this one of {second} within {100 * margin:.0f} points: the "
+            f"{starting} is as good as {other} within {100 * margin:.0f} points: the "
             f"difference is {_signed(narrow, alpha)}, {where}{adjusted}."
         )
     else:
         kind = "cannot_tell"
-        asked = f"differs from this one of {second}"
+        asked = f"differs from {other}"
         unclear = f"{_number(interval.low)} to {_number(interval.high)} points are compatible"
         if alone <= alpha:  # adjustment for several comparisons decides
-            asked = f"is as good as this one of {second} within {100 * margin:.0f} points"
+            asked = f"is as good as {other} within {100 * margin:.0f} points"
             adjusted = f"{_p(equal, 'is ')} after adjustment for {comparisons} comparisons"
             unclear = f"the difference is {_signed(narrow, alpha)}, but {adjusted}"
         elif interval.low > 0 or interval.high < 0:  # the exact test is stricter, or adjustment decides
             adjusted = " after adjustment for several comparisons" if own > found.p_value else ""
             unclear = f"the difference is {_number(interval.value)} points, but p is {own:.2g}{adjusted}"
-        sentence = f"Cannot tell whether this checkpoint of {first} {asked}: {unclear}, {where}."
+        sentence = f"Cannot tell whether {one} {asked}: {unclear}, {where}."
     return Verdict(
         kind=kind, question="checkpoint", difference=interval, p_value=own, p_as_good=equal,
-        sentence=f"{sentence} One training says nothing about the way to train.",
+        sentence=f"{sentence} {ONE_TRAINING}" if any(trained) else sentence,
     )  # fmt: skip
+
+
+def checkpoint_names(first: str, second: str, trained: tuple[bool, bool]) -> tuple[str, str]:
+    """Return how a sentence names two policies: as checkpoints, if they are some."""
+    one = f"this checkpoint of {first}" if trained[0] else first
+    return one, f"this {'one' if trained[0] else 'checkpoint'} of {second}" if trained[1] else second
 
 
 def _raised(adjusted: float, alone: float) -> float:

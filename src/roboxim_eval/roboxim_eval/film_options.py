@@ -1,0 +1,34 @@
+"""Which films a report shows, and how. Imports nothing heavy: options are checked before a run starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from roboxim_core.errors import ConfigError
+
+FILM_FRAMES = 24
+"""Number of frames of a film by default."""
+FRAME_HEIGHT = 192
+"""Largest height of a frame by default [px]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmOptions:
+    """Which films a report shows, and how."""
+
+    scenes: int = 8
+    """Number of scenes whose films are shown, for each policy; 0: none."""
+    frames: int = FILM_FRAMES
+    """Largest number of frames of a film."""
+    height: int = FRAME_HEIGHT
+    """Largest height of a frame [px]."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: When a number is out of range.
+        """
+        for name, low, high in (("scenes", 0, 10_000), ("frames", 2, 10_000), ("height", 16, 2_160)):
+            if not low <= getattr(self, name) <= high:
+                raise ConfigError(f"{name} of films must be from {low} to {high}, got {getattr(self, name)}")

@@ -1,0 +1,183 @@
+"""The course of an episode: each condition's measure against its bounds, tick by tick, and a sentence about it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+UNITS = {
+    "_m_s": (100.0, " cm/s"), "_rad_s": (180.0 / math.pi, "°/s"), "_m": (100.0, " cm"), "_rad": (180.0 / math.pi, "°"),
+    "_deg": (1.0, "°"), "_n": (1.0, " N"), "_s": (1.0, " s"),
+}  # fmt: skip
+"""Ending of a measure's name to the factor and the unit in which people read it; longer endings first."""
+LOST = {"grasped": "slipped", "lifted": "sank", "on_support": "left its support", "inside": "left the container"}
+"""Condition to the verb for its loss; others are "no longer <name>"."""
+PHRASES = {
+    "pressing_links": "{} fingers pressed it", "lift_m": "lifted {}", "turned_deg": "turned by {}",
+    "turned_rad": "turned by {}", "along_m": "moved {} along the direction", "finger_travel_m": "pressed down {}",
+}  # fmt: skip
+"""Measure to how a sentence names the greatest value that it reached; others are "<name> reached"."""
+WORDS = {"pressing_links": "fingers pressing it", "table_force_n": "force on the table"}
+"""Measure to its name for people, where the name itself does not say it."""
+NOTHING = 0.02
+"""Share of a bound below which a value is shown as 0."""
+MOST_EVENTS = 2
+"""Number of conditions that a sentence names."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ConditionCourse:
+    """A condition over an episode."""
+
+    name: str
+    """Its name, e.g. ``lifted``."""
+    measure: str
+    """Name of what is bounded, with its unit, e.g. ``lift_m``."""
+    values: Floats
+    """The measure at each tick, shape (T,)."""
+    holds: npt.NDArray[np.bool_]
+    """Whether the condition holds at each tick, shape (T,)."""
+    least: float = -math.inf
+    """Smallest value at which it holds."""
+    most: float = math.inf
+    """Largest value at which it holds."""
+    reason: str = ""
+    """Reason that is given while it does not hold."""
+    fatal: bool = False
+    """Whether the task is lost once it has not held."""
+
+    @property
+    def words(self) -> str:
+        """The measure's name for people, without its unit."""
+        return WORDS.get(self.measure) or self.measure.removesuffix(_ending(self.measure)).replace("_", " ")
+
+    @property
+    def bound(self) -> float:
+        """The bound that counts: the lower one, if there is one."""
+        return self.least if math.isfinite(self.least) else self.most
+
+    @property
+    def limit_text(self) -> str:
+        """The bounds in words, e.g. ``at least 5 cm``."""
+        ends = [
+            f"{word} {shown(self.measure, value)}"
+            for word, value in (("at least", self.least), ("at most", self.most))
+            if math.isfinite(value)
+        ]
+        return " and ".join(ends)
+
+    @property
+    def broken_at_end(self) -> bool:
+        """Whether it does not hold at the last tick."""
+        return not self.holds[-1]
+
+    @property
+    def lost_at(self) -> int | None:
+        """The tick at which it was lost for good; None: it holds at the end, or never held."""
+        if self.holds[-1] or not self.holds.any():
+            return None
+        return int(np.flatnonzero(self.holds)[-1]) + 1
+
+    @property
+    def peak_at(self) -> int:
+        """The tick of the measure's greatest value where it must be large, else of the nearest to its bounds."""
+        one_sided = math.isfinite(self.least) and not math.isfinite(self.most)
+        return int(np.nanargmax(self.values)) if one_sided and np.isfinite(self.values).any() else self.best_at
+
+    @property
+    def best_at(self) -> int:
+        """The first tick at which the measure came nearest to its bounds."""
+        short = np.maximum(np.maximum(self.least - self.values, self.values - self.most), 0.0)
+        return int(np.argmin(np.where(np.isfinite(short), short, np.inf)))
+
+
+def shown(measure: str, value: float) -> str:
+    """Return a measure's value in the unit in which people read it, e.g. ``3.1 cm``."""
+    factor, unit = UNITS.get(_ending(measure), (1.0, ""))
+    return f"{_number(value * factor)}{unit}"
+
+
+def _ending(measure: str) -> str:
+    return next((ending for ending in UNITS if measure.endswith(ending)), "")
+
+
+def _number(value: float) -> str:
+    """Format a number with two digits that count, or one after the point."""
+    text = f"{value:.1f}" if abs(value) >= 0.95 or abs(value) < 1e-9 else f"{value:.2g}"
+    text = "0" if abs(value) < 0.005 else text
+    return text.removesuffix(".0")
+
+
+def what_happened(
+    conditions: Sequence[ConditionCourse], *, solved: bool, reason: str, hold_s: float = 0.0, held_s: float = 0.0
+) -> str:  # fmt: skip
+    """Return what happened in an episode that did not succeed, with numbers; empty if no condition tells.
+
+    Args:
+        conditions: Its conditions, in the order of their precedence.
+        solved: Whether it succeeded.
+        reason: The reason that was given.
+        hold_s: Time that all conditions had to hold [s].
+        held_s: Longest time that all of them held [s].
+    """
+    if solved or not conditions:
+        return ""
+    broken = [one for one in conditions if one.broken_at_end]
+    fatal = [one for one in conditions if one.fatal and not one.holds.all()]
+    if fatal:
+        first = min(fatal, key=lambda one: int(np.argmin(one.holds)))
+        tick = int(np.argmin(first.holds))
+        return _sentence(f"{_named(first.reason or 'not_' + first.name)} at tick {tick} ({_value(first, tick)})")
+    if not broken:
+        kept = f"all conditions held, but for {held_s:.1f} s of {hold_s:g} s" if held_s < hold_s else ""
+        return _sentence(kept)
+    cause = [one for one in broken if one.reason == reason or f"not_{one.name}" == reason]
+    told = [*cause, *(one for one in broken if one not in cause and not _follows(one, conditions))][:MOST_EVENTS]
+    events = sorted((_event(one, one in cause) for one in told), key=lambda event: event[0])
+    joint = ", then " if any(" at tick " in text for _, text in events) else ", "
+    return _sentence(joint.join(text for _, text in events))
+
+
+def _follows(one: ConditionCourse, conditions: Sequence[ConditionCourse]) -> bool:
+    """Return whether a condition says what is plain from the start: it was broken at tick 0, and never held."""
+    return not one.holds.any() and one.least == -math.inf
+
+
+def _event(one: ConditionCourse, cause: bool) -> tuple[int, str]:
+    """Return when the condition that decided was lost, or one came nearest, and that in words."""
+    lost = one.lost_at
+    if lost is not None and (cause or not math.isfinite(one.least)):
+        verb = LOST.get(one.name, f"no longer {one.name.replace('_', ' ')}")
+        return lost, f"{verb} at tick {lost} ({_value(one, lost)})"
+    best = one.peak_at
+    text = PHRASES.get(one.measure, f"{one.words} reached {{}}").format(_of_limit(one, best))
+    return best, text if abs(one.values[best] - one.values[0]) <= NOTHING * abs(one.bound) else f"{text} at tick {best}"
+
+
+def _value(one: ConditionCourse, tick: int) -> str:
+    """Return the measure's name and value at a tick, with its bound."""
+    return f"{one.words} {_of_limit(one, tick)}"
+
+
+def _of_limit(one: ConditionCourse, tick: int) -> str:
+    value, limit = float(one.values[tick]), shown(one.measure, one.bound)
+    text = shown(one.measure, 0.0 if abs(value) < NOTHING * abs(one.bound) else value)
+    if not 0 < one.least < math.inf:
+        return f"{text}, allowed {limit}"
+    return (
+        text if value >= one.least else f"{text} of {limit.removesuffix(UNITS.get(_ending(one.measure), (1.0, ''))[1])}"
+    )
+
+
+def _named(reason: str) -> str:
+    return reason.replace("_", " ")
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}." if text else ""

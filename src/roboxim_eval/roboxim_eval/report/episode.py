@@ -1,0 +1,228 @@
+"""The page of one episode: its film in step with what was commanded, measured and judged, and why it ended so."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from markupsafe import Markup
+
+from roboxim_eval.report.charts.course import Curve, course_chart
+from roboxim_eval.report.course import ConditionCourse, shown
+from roboxim_eval.report.films import Film
+from roboxim_eval.report.page import render
+from roboxim_eval.report.reasons import explained
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Signals:
+    """Curves that belong together, e.g. the components of the action."""
+
+    name: str
+    """What they are."""
+    curves: Sequence[Curve]
+    """The curves, each in a chart of its own."""
+    about: str = ""
+    """What their lines mean; empty: one line each."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OtherWay:
+    """What another actor did in the same scene."""
+
+    name: str
+    """The actor."""
+    outcome: str
+    """How its episode ended."""
+    text: str
+    """What happened, in words."""
+    film: Film | None = None
+    """Its film; none: without cameras."""
+    link: str = ""
+    """Where its own page is; empty: nowhere."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EpisodePage:
+    """Content of a page."""
+
+    episode_id: str
+    """The episode."""
+    actor: str
+    """Policy that acted."""
+    instruction: str
+    """What it was told."""
+    outcome: str
+    """``success``, ``failure`` or ``error``."""
+    reason: str
+    """Why it did not succeed."""
+    told: str
+    """What happened, in a sentence with numbers."""
+    message: str
+    """Details for a person."""
+    steps: int
+    """Number of actions."""
+    ticks: int
+    """Number of ticks, tick 0 and those of settling included."""
+    tick_s: float
+    """Time between two ticks [s]."""
+    conditions: Sequence[ConditionCourse]
+    """What it was judged by; empty: unknown."""
+    signals: Sequence[Signals]
+    """Actions, gripper, joints."""
+    held: Sequence[Mapping[str, str]]
+    """What the scene held: a row for each object."""
+    facts: Mapping[str, str]
+    """Further facts."""
+    commands: str
+    """Commands that show and execute it again."""
+    film: Film | None = None
+    """All its frames; none: it has no cameras."""
+    others: Sequence[OtherWay] = ()
+    """What others did in the same scene."""
+    nobody: str = ""
+    """Why there is no other way, and how to get one; empty: there is one."""
+    log: str = ""
+    """What the policy printed."""
+    log_note: str = ""
+    """Why its output is not there; empty: it is."""
+    notes: Sequence[str] = field(default=())
+    """What a reader must know, e.g. that conditions are unknown."""
+
+
+def cause_of(conditions: Sequence[ConditionCourse], reason: str) -> ConditionCourse | None:
+    """Return the condition that decided: the one that gives the reason, else the first that is broken at the end."""
+    broken = [one for one in conditions if one.broken_at_end or (one.fatal and not one.holds.all())]
+    named = [one for one in broken if reason in (one.reason, f"not_{one.name}")]
+    return next(iter([*named, *broken]), None)
+
+
+def lost_at(one: ConditionCourse) -> int | None:
+    """Return the tick at which a condition was lost, or a fatal one broken; None: it never held, or never broke."""
+    if one.fatal and not one.holds.all():
+        return int(np.argmin(one.holds))
+    return one.lost_at
+
+
+def state_of(one: ConditionCourse) -> str:
+    """Return how a condition fared, in words."""
+    lost = lost_at(one)
+    if lost is not None:
+        return f"lost at tick {lost}"
+    if one.holds.all():
+        return "held throughout"
+    if not one.holds.any():
+        return "never held"
+    return f"held from tick {int(np.argmin(one.holds[::-1]) * -1 + len(one.holds))} on"
+
+
+def episode_page(page: EpisodePage) -> str:
+    """Return the page as HTML; it needs no other file."""
+    cause = cause_of(page.conditions, page.reason) if page.outcome != "success" else None
+    order = sorted(page.conditions, key=lambda one: (one is not cause, one.holds.all()))
+    return render(
+        "episode.html",
+        title=f"{page.instruction}: {page.outcome}",
+        page=page,
+        meaning=explained(page.reason) if page.reason else "",
+        conditions=[_condition(one, page, one is cause) for one in order],
+        jump=None if cause is None else lost_at(cause) if lost_at(cause) is not None else cause.best_at,
+        signals=[
+            {"name": one.name, "about": one.about, "charts": [_chart(curve) for curve in one.curves]}
+            for one in page.signals
+        ],
+        data=_data(page),
+    )
+
+
+def _condition(one: ConditionCourse, page: EpisodePage, cause: bool) -> dict[str, Any]:
+    curve = Curve(
+        name=one.words, lines=(one.values,), measure=one.measure, limits=(one.least, one.most), broken=~one.holds,
+        mark=lost_at(one),
+    )  # fmt: skip
+    return {
+        "name": one.name.replace("_", " "), "limit": f"{one.words} {one.limit_text}", "state": state_of(one),
+        "cause": cause, "passed": bool(one.holds[-1]) and not (one.fatal and not one.holds.all()),
+        "always": bool(one.holds.all()), "meaning": explained(one.reason or f"not_{one.name}"),
+        "chart": _chart(curve), "tick": lost_at(one),
+    }  # fmt: skip
+
+
+def _chart(curve: Curve) -> dict[str, Any]:
+    return {"name": curve.name, "picture": course_chart(curve)}
+
+
+def _data(page: EpisodePage) -> Markup:
+    text = json.dumps({"ticks": page.ticks, "tick_s": page.tick_s, "steps": page.steps})
+    return Markup(text.replace("<", "\\u003c"))
+
+
+# ------------------------------------------------------------------ in a terminal
+
+SPARKS = "▁▂▃▄▅▆▇█"
+SPARK_WIDTH = 48
+
+
+def sparkline(values: npt.ArrayLike, width: int = SPARK_WIDTH) -> str:
+    """Return a line of blocks: the mean of each part of the values, from their least to their greatest."""
+    numbers = np.asarray(values, float)
+    numbers = numbers[np.isfinite(numbers)]
+    if not len(numbers):
+        return ""
+    parts = np.array_split(numbers, min(width, len(numbers)))
+    means = np.array([part.mean() for part in parts])
+    low, high = float(numbers.min()), float(numbers.max())
+    share = (means - low) / (high - low) if high - low > 1e-9 else np.zeros(len(means))
+    return "".join(SPARKS[int(round(float(x) * (len(SPARKS) - 1)))] for x in share)
+
+
+def episode_text(page: EpisodePage) -> str:
+    """Return the page in words, with a line of blocks for each measure, for a terminal."""
+    reason = f" ({page.reason})" if page.reason else ""
+    seconds = page.tick_s * page.steps
+    lines = [
+        f"{page.instruction}: {page.outcome}{reason}",
+        f"{page.actor}, episode {page.episode_id}, {page.steps} actions, {seconds:.1f} s",
+    ]
+    lines += [text for text in (page.told, explained(page.reason) if page.reason else "", page.message) if text]
+    if page.conditions:
+        cause = cause_of(page.conditions, page.reason) if page.outcome != "success" else None
+        lines += ["", "conditions (> decided the outcome), from the first tick to the last:"]
+        rows = [
+            (
+                f"{'>' if one is cause else ' '} {one.name}", f"{one.words} {one.limit_text}", state_of(one),
+                f"{shown(one.measure, float(one.values[-1]))} at the end", sparkline(one.values, 32),
+            )
+            for one in page.conditions
+            if one is cause or not one.holds.all()
+        ]  # fmt: skip
+        lines += _aligned(rows)
+        kept = [one.name for one in page.conditions if one.holds.all() and one is not cause]
+        lines += [f"  held throughout: {', '.join(kept)}"] if kept else []
+    for signals in page.signals:
+        lines += ["", f"{signals.name}:"]
+        lines += _aligned([
+            (f"  {curve.name}", f"{np.nanmin(curve.lines[0]):.3g} to {np.nanmax(curve.lines[0]):.3g}",
+             sparkline(curve.lines[0]))
+            for curve in signals.curves
+        ])  # fmt: skip
+    lines += ["", "the scene held:"]
+    lines += _aligned(
+        [tuple(f"  {value}" if n == 0 else value for n, value in enumerate(row.values())) for row in page.held]
+    )
+    lines += ["", "the same scene by others:"]
+    lines += [f"  {one.name}: {one.outcome}{'. ' + one.text if one.text else ''}" for one in page.others]
+    lines += [f"  {page.nobody}"] if page.nobody else []
+    if page.log or page.log_note:
+        lines += ["", "what the policy printed:", *(f"  {line}" for line in (page.log or page.log_note).splitlines())]
+    return "\n".join([*lines, *(f"note: {note}" for note in page.notes), "", page.commands])
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows with columns of one width."""
+    widths = [max(len(row[n]) for row in rows) for n in range(len(rows[0]))] if rows else []
+    return ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
