@@ -196,6 +196,8 @@ def test_commands_that_reports_print_are_valid(tmp_path: Path, monkeypatch: pyte
             words = shlex.split(re.sub(r"\{\{.*?\}\}", "FILE", text))
             if words[1] in group.list_commands(click.Context(group)):  # else it is prose
                 found.append(shlex.join(words))
-                complaint = refusal([*words[1:], *(["FILE"] if text.endswith(" ") and words[1] == "replay" else [])])
+                complaint = refusal(
+                    [*words[1:], *(["FILE"] if text.endswith(" ") and words[1] in ("replay", "show") else [])]
+                )
                 assert not complaint or "does not exist" in complaint, f"{file.name}: {shlex.join(words)}: {complaint}"
-    assert {"roboxim up", "roboxim replay"} <= set(found)
+    assert {"roboxim up", "roboxim replay", "roboxim show"} <= set(found)

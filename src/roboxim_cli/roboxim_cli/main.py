@@ -25,7 +25,7 @@ SECTIONS = {
     "Experiments": ("experiment", "benchmark"),
     "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor"),
     "Planning": ("planner",),
-    "Recordings": ("bag", "replay", "rerender", "view"),
+    "Recordings": ("show", "bag", "replay", "rerender", "view"),
     "Datasets": ("dataset",),
     "Objects": ("assets",),
     "In a browser": ("studio",),

@@ -79,17 +79,6 @@ class Judge:
         self._others = tuple(filter(None, (surroundings(self.task, state), undisturbed(self.task, state))))
         return self._fold(state)
 
-    @property
-    def conditions(self) -> tuple[Condition, ...]:
-        """What the started episode is judged by, in the order of precedence; of a skill's own evaluator none."""
-        evaluators = (*self._others, self._evaluator)
-        return tuple(one for found in evaluators if isinstance(found, Conditions) for one in found.conditions)
-
-    @property
-    def hold_s(self) -> float:
-        """Time that all conditions of the started episode must hold without a break [s]."""
-        return self._evaluator.hold_s
-
     def step(self, state: StateRecord) -> Verdict:
         """Judge the next tick.
 

@@ -107,8 +107,7 @@ class Conditions:
             hold_s: Time that all must hold without a break to count as solved [s].
         """
         self.hold_s = hold_s
-        self.conditions = tuple(conditions)
-        """The conditions, in the order of their precedence."""
+        self._conditions = tuple(conditions)
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
@@ -120,7 +119,7 @@ class Conditions:
         values: dict[int, float] = {}
         predicates: dict[str, float] = {}
         broken: list[Condition] = []
-        for condition in self.conditions:
+        for condition in self._conditions:
             measure = condition.measure
             if id(measure) not in values:
                 values[id(measure)] = predicates[measure.name] = float(measure.of(state))

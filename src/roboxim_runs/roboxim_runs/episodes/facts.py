@@ -6,12 +6,16 @@ survive the loss of the bags.
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
+from roboxim_core.errors import ConfigError, TaskError
 from roboxim_runs.storage.results_log import ResultsLog
 
 FACTS_FILE = "facts.jsonl"
@@ -27,6 +31,15 @@ class EpisodeFacts:
     """Named draws of its reset components."""
     start: tuple[float, float] | None = None
     """Place of the task's first object at the start: x away from the robot, y to its left [m]; none: it has none."""
+    told: str = ""
+    """What happened, in a sentence with numbers; empty: it succeeded, or its conditions are unknown here."""
+    scene: str = ""
+    """Hash of task and scene without words and image sizes, the same in every run that met the scene;
+    empty: stored by an earlier version."""
+    robot: tuple[float, float] = (0.0, 0.0)
+    """Base of the robot, x and y [m]."""
+    table: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    """Centre of the table's top, and its extent: x, y, along x, along y [m]."""
 
 
 def episode_facts(
@@ -47,7 +60,8 @@ def episode_facts(
     found = {entry.key: from_plain(entry.data, EpisodeFacts, source=str(log.path)) for entry in log.read()}
     bags = folder if bags is None else bags
     for result in results:
-        if result.episode_id not in found and result.bag and (bags / result.bag).exists():
+        known = result.episode_id in found and found[result.episode_id].scene
+        if not known and result.bag and (bags / result.bag).exists():
             found[result.episode_id] = _facts(bags / result.bag)
             log.append(result.episode_id, to_plain(found[result.episode_id]))
     return found
@@ -55,9 +69,28 @@ def episode_facts(
 
 def _facts(bag: Path) -> EpisodeFacts:
     from roboxim_recorder.bag import BagReader
+    from roboxim_runs.episodes.course import Course
 
-    info = BagReader(bag).info
-    return EpisodeFacts(episode_id=info.episode_id, drawn=dict(info.task.drawn), start=_start(info))
+    reader = BagReader(bag)
+    info, (x, y, _), table = reader.info, reader.info.scene.robot.pose.position, reader.info.scene.table
+    told = ""
+    if reader.result.outcome == "failure":
+        with contextlib.suppress(TaskError, ConfigError):  # a skill that this program does not have
+            told = Course.of(bag).told
+    return EpisodeFacts(
+        episode_id=info.episode_id, drawn=dict(info.task.drawn), start=_start(info), told=told, scene=scene_hash(info),
+        robot=(float(x), float(y)), table=(table.center[0], table.center[1], table.size[0], table.size[1]),
+    )  # fmt: skip
+
+
+def scene_hash(info: EpisodeInfo) -> str:
+    """Return the hash of an episode's task and scene, without the words of the task and the sizes of images."""
+    scene = to_plain(info.scene)
+    scene["cameras"] = [
+        {key: value for key, value in camera.items() if key not in ("width", "height")} for camera in scene["cameras"]
+    ]
+    met = [info.task.skill, to_plain(info.task.objects), to_plain(info.task.arguments), scene]
+    return hashlib.blake2b(json.dumps(met, sort_keys=True, default=str).encode(), digest_size=8).hexdigest()
 
 
 def _start(info: EpisodeInfo) -> tuple[float, float] | None:

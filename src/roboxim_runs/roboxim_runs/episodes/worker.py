@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -20,7 +21,7 @@ from roboxim_ros.local.episodes import RUN_EPISODES
 from roboxim_runs.episodes.staging import Staging
 from roboxim_runs.executors.protocol import WorkerBrokenError
 from roboxim_runs.policies.waiting import Patience
-from roboxim_runs.storage.folder import RunFolder
+from roboxim_runs.storage.folder import EPISODE_MARK, RunFolder
 
 LOOK_S = 0.5
 """Time between two looks whether the graph is alive [s]."""
@@ -122,6 +123,8 @@ class EpisodeWorker:
         return found.result()
 
     def _episode(self, job: int, hear: Callable[[str, int], None], given_up: threading.Event) -> EpisodeResult:
+        sys.stdout.write(f"{EPISODE_MARK.format(job)}\n")  # into the worker's log, before what the policy prints
+        sys.stdout.flush()
         call = self._clients.send_local(RUN_EPISODES, self._config, [job], hear, given_up.is_set)
         if call is None:
             raise UnavailableError("the worker's own evaluator has ended")

@@ -5,7 +5,9 @@ The report is imported where it is needed: the import takes seconds.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +17,7 @@ from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.whole_files import write_whole
+from roboxim_eval.film_options import FilmOptions
 from roboxim_runs.episodes.run import EpisodesJob
 from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
 from roboxim_runs.policies.specs import ChosenPolicy
@@ -23,13 +26,19 @@ from roboxim_runs.storage.store import readable_run
 
 if TYPE_CHECKING:
     from roboxim_eval.report import PolicyRun
+    from roboxim_eval.report.charts.table_map import Place
+    from roboxim_runs.episodes.facts import EpisodeFacts
 
 RECORD_FILE = "evaluation.json"
 """File beside a report, by which `roboxim merge` writes it again."""
+MOST_OTHERS = 2
+"""Largest number of episodes of others in an episode's page."""
 REPORT_FILE = "report.html"
 """The report's file."""
-SHOWN = 12
-"""Films of each policy in the report."""
+PAGES = "pages"
+"""Folder beside a report with the pages of the episodes that it shows, in a folder for each policy."""
+UNTRAINED = ("expert", "random", "zero", "replay")
+"""Policies that are no checkpoint of a training."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +59,10 @@ class EvaluationRecord:
     """How the number of episodes was decided; empty: it was fixed beforehand."""
     undecided: bool = False
     """Whether planned looks at the results have not decided; then no policy is called better."""
+    trained: tuple[str, ...] | None = None
+    """Policies that are checkpoints of a training; none: an earlier version did not say, so all."""
+    film: FilmOptions = FilmOptions()
+    """Which films the report shows. Each shown episode has a page of its own."""
 
 
 def stored_record(out: Path) -> EvaluationRecord:
@@ -114,7 +127,10 @@ def write_evaluation(
 
     write_whole(out / RECORD_FILE, json.dumps(to_plain(record), indent=2) + "\n")
     infos = {name: info for name, result in found.items() if (info := _first_info(result)) is not None}
-    runs = [PolicyRun(policy=name, results=result.results) for name, result in found.items()]
+    runs = [
+        PolicyRun(policy=name, results=result.results, trained=record.trained is None or name in record.trained)
+        for name, result in found.items()
+    ]
     return EvaluationResult(
         policies=dict(found), report=_page(record, found, infos, out) if page else None,
         comparison=verdict_line(runs, undecided=record.undecided),
@@ -146,12 +162,94 @@ def _page(
             versions[f"policy {name}"] = info.actor_version
         if info.actor_privileged:
             facts[f"policy {name} is privileged"] = "it sees the task, scene and state"
+    runs, places = evaluated_runs(record, found, out)
     report = Report(
-        title=f"Evaluation of {' and '.join(found)} on {record.task}",
-        runs=[_policy_run(result) for result in found.values()], facts=facts, versions=versions,
-        command=record.command, stopped=record.stopped, undecided=record.undecided,
+        title=f"Evaluation of {' and '.join(found)} on {record.task}", runs=runs, facts=facts, versions=versions,
+        command=record.command, stopped=record.stopped, undecided=record.undecided, 
+        place=places.pop() if len(places) == 1 else None,
     )  # fmt: skip
     return write_report(report, out)
+
+
+def evaluated_runs(
+    record: EvaluationRecord, found: Mapping[str, PolicyResult], out: Path
+) -> tuple[list[PolicyRun], set[Place]]:  # fmt: skip
+    """Return the policies with what their bags say, and where robots and tables are; write the pages of shown episodes.
+
+    Args:
+        record: What the report says about the evaluation.
+        found: Policy to result.
+        out: The report's folder.
+    """
+    from roboxim_eval.report.charts.table_map import Place
+    from roboxim_eval.report.films import chosen_scenes
+    from roboxim_runs.episodes.facts import episode_facts
+
+    with contextlib.ExitStack() as stack:
+        whole = {name: _with_bags(result) for name, result in found.items()}
+        bags = {
+            name: stack.enter_context(readable_run(found[name].folder, [episode.bag for episode in episodes]))
+            for name, episodes in whole.items()
+        }
+        outcomes: dict[str, list[str]] = {}
+        for episodes in whole.values():
+            for episode in episodes:
+                outcomes.setdefault(str(episode.index), []).append(episode.outcome)
+        scenes = set(chosen_scenes(outcomes, record.film.scenes))
+        shown = {
+            name: {e.index: bags[name] / e.bag for e in episodes if str(e.index) in scenes}
+            for name, episodes in whole.items()
+        }
+        runs, places = [], set()
+        for name, result in found.items():
+            facts = episode_facts(result.folder, result.results, bags=bags[name])
+            places |= {Place(robot=one.robot, table=one.table) for one in facts.values() if one.scene}
+            runs.append(_policy_run(record, result, facts, shown, out))
+    return runs, places
+
+
+def _policy_run(
+    record: EvaluationRecord, result: PolicyResult, facts: Mapping[str, EpisodeFacts],
+    shown: Mapping[str, Mapping[int, Path]], out: Path,
+) -> PolicyRun:  # fmt: skip
+    """Return a policy with films, and write the pages of its shown episodes.
+
+    Args:
+        record: What the report says about the evaluation.
+        result: The policy's results.
+        facts: What its bags say.
+        shown: Policy to index and bag of the shown episodes.
+        out: The report's folder.
+    """
+    from roboxim_eval.report import PolicyRun
+    from roboxim_eval.report.episode import episode_page
+    from roboxim_runs.episodes.showing import Other, films_of, shown_episode
+
+    name, films, pages = result.name, {}, {}
+    for episode in result.results:
+        bag = shown[name].get(episode.index)
+        if bag is None:
+            continue
+        if both := films_of(bag, record.film):
+            films[episode.episode_id] = both[0]
+        others = [
+            Other(name=other, bag=bags[episode.index], link=f"../{other}/{bags[episode.index].name}.html")
+            for other, bags in shown.items() if other != name and episode.index in bags
+        ]  # fmt: skip
+        pages[episode.episode_id] = f"{PAGES}/{name}/{episode.episode_id}.html"
+        there = os.path.relpath(result.folder / episode.bag, out)
+        page = shown_episode(
+            bag, others=others[:MOST_OTHERS], shown_as=there, films=record.film, name=name, run=result.folder
+        )
+        (out / PAGES / name).mkdir(parents=True, exist_ok=True)
+        write_whole(out / pages[episode.episode_id], episode_page(page))
+    return PolicyRun(
+        policy=name, results=result.results, folder=Path(os.path.relpath(result.folder, out)).as_posix(), films=films,
+        pages=pages, trained=record.trained is None or name in record.trained,
+        drawn={key: one.drawn for key, one in facts.items()},
+        starts={key: one.start for key, one in facts.items() if one.start is not None},
+        told={key: one.told for key, one in facts.items() if one.told},
+    )  # fmt: skip
 
 
 def _first_info(result: PolicyResult) -> EpisodeInfo | None:
@@ -170,24 +268,6 @@ def _with_bags(result: PolicyResult) -> list[EpisodeResult]:
     recorded = [episode for episode in result.results if episode.bag]
     gone = {episode.bag for episode in RunFolder(result.folder).without_bag(recorded)}
     return [episode for episode in recorded if episode.bag not in gone]
-
-
-def _policy_run(result: PolicyResult) -> PolicyRun:
-    from roboxim_eval.report import PolicyRun
-    from roboxim_eval.report.films import chosen_films
-    from roboxim_runs.episodes.facts import episode_facts
-    from roboxim_runs.episodes.pictures import film
-
-    recorded = {episode.episode_id: episode for episode in _with_bags(result)}
-    shown = chosen_films([(name, episode.outcome == "success") for name, episode in recorded.items()], SHOWN)
-    with readable_run(result.folder, [episode.bag for episode in recorded.values()]) as run:
-        facts = episode_facts(result.folder, result.results, bags=run)
-        films = {name: frames for name in shown if (frames := film(run / recorded[name].bag))}
-    return PolicyRun(
-        policy=result.name, results=result.results, folder=result.folder.name, films=films,
-        drawn={name: one.drawn for name, one in facts.items()},
-        starts={name: one.start for name, one in facts.items() if one.start is not None},
-    )  # fmt: skip
 
 
 def timing_line(results: Sequence[EpisodeResult]) -> str:

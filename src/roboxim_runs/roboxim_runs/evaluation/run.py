@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from roboxim_core.config import to_json
 from roboxim_core.errors import EvaluationError
 from roboxim_core.shards import Shard
+from roboxim_eval.film_options import FilmOptions
 from roboxim_policies.remote import SERVERS_OWN
 from roboxim_runs.episodes.run import EpisodesConfig, EpisodesJob, run_environment, run_episodes
 from roboxim_runs.evaluation.checks import (
@@ -26,7 +27,7 @@ from roboxim_runs.evaluation.checks import (
     require_robots,
     require_same_policy,
 )
-from roboxim_runs.evaluation.report import EvaluationRecord, policy_facts, write_evaluation
+from roboxim_runs.evaluation.report import UNTRAINED, EvaluationRecord, policy_facts, write_evaluation
 from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
 from roboxim_runs.events import Notice, OnEvent, PolicyMeasured, PolicyResumed, ignore
 from roboxim_runs.executors import Cancellation, Executor
@@ -83,6 +84,8 @@ class EvaluationConfig(EpisodesConfig):
     """How the number of episodes was decided, for the report; empty: it was fixed beforehand."""
     undecided: bool = False
     """Whether planned looks at the results have not decided; then the report calls no policy better."""
+    film: FilmOptions = FilmOptions()
+    """Which films the report shows, and how."""
     page: bool = True
     """Whether to write the report's page, which takes seconds; `evaluation_report.report_of` writes it later."""
 
@@ -153,6 +156,8 @@ def evaluate(
         task=config.task_name, seed=config.seed, policies=tuple(found), facts=policy_facts(chosen, jobs),
         command=config.command or _call(config), stopped=config.stopped,
         undecided=config.undecided,
+        trained=tuple(policy.name for policy in chosen if policy.acting.spec not in UNTRAINED),
+        film=config.film,
     )  # fmt: skip
     return write_evaluation(record, found, out, page=config.page)
 

@@ -146,7 +146,7 @@ def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int 
         The page.
     """
     from roboxim_eval.report.experiment import ExperimentPage, experiment_page
-    from roboxim_eval.report.films import chosen_films
+    from roboxim_eval.report.films import chosen_films, film_strip
     from roboxim_runs.episodes.pictures import film
 
     episodes = experiment_episodes(folder)
@@ -158,7 +158,7 @@ def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int 
         ]  # fmt: skip
         for number in chosen_films(there, films):
             if frames := film(folder.path / episodes[int(number)].bag):
-                shown[int(number)] = frames
+                shown[int(number)] = film_strip(frames)
     page = experiment_page(ExperimentPage(
         card=card, episodes=episodes, checkpoints=checkpoint_episodes(folder), films=shown,
         command=reproduction(folder), warnings=told_by_scene(folder.design),

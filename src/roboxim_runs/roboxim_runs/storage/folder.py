@@ -38,6 +38,8 @@ COMMANDS = {"demo": "generate", "eval": "evaluate"}
 LONGEST_NAME, LONGEST_PATH = 200, 3500
 """Largest number of bytes of a folder's name and of its whole path. Below a file system's own limits, since bags lie
 deeper."""
+EPISODE_MARK = "--- episode {} ---"
+"""Line of a worker's log before what an episode prints; its number is the index in the run."""
 
 
 class RunFolder:

@@ -1,0 +1,108 @@
+"""Why an episode ended so: its bag, its run's log, and the others in its scene."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from roboxim_bringup.core_graph import CoreGraph
+from roboxim_cli.commands.data.show import command
+from roboxim_core.config import to_plain
+from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_core.errors import ConfigError, SimError
+from roboxim_eval.film_options import FilmOptions
+from roboxim_policies.builtin import RandomPolicy, ZeroPolicy
+from roboxim_recorder.bag import BagReader
+from roboxim_runs.episodes.facts import scene_hash
+from roboxim_runs.episodes.showing import expert_way, printed, shown_episode
+from roboxim_runs.evaluation.finding import find_episode
+from roboxim_runs.evaluation.report import RECORD_FILE, EvaluationRecord
+from roboxim_runs.storage.folder import EPISODE_MARK, RunFolder
+
+
+@pytest.fixture(scope="module")
+def evaluated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Evaluate two policies in one scene, five actions each."""
+    out = tmp_path_factory.mktemp("evaluated")
+    for name, policy in (("zero", ZeroPolicy()), ("random", RandomPolicy())):
+        run = out / name
+        run.mkdir()
+        config = RunConfig(
+            purpose="eval", output_dir=str(run), image_width=48, image_height=32, max_steps=5, settle_ticks=1
+        )
+        try:
+            graph = CoreGraph(run, policy=policy)
+        except SimError as error:
+            pytest.skip(str(error))
+        with graph:
+            RunFolder(run).append(EpisodeRunner(graph.ports, config).run_index(0))
+    record = EvaluationRecord(task="pick_cube", seed=0, policies=("zero", "random"))
+    (out / RECORD_FILE).write_text(json.dumps(to_plain(record)))
+    return out
+
+
+def test_an_episode_is_found_by_its_bag_or_its_number(evaluated: Path) -> None:
+    by_number = find_episode(evaluated, 0, "random")
+    assert by_number.policy == "random"
+    assert [other.name for other in by_number.others] == ["zero"]
+    assert find_episode(by_number.bag) == find_episode(evaluated / "random", 0)
+    assert find_episode(evaluated, 0).policy == "zero", "the policy under test"
+    for place, number, policy, said in (
+        (evaluated, 7, "", "has no episode 7; it has 0"), (evaluated, None, "", "say which one, e.g. roboxim show"),
+        (evaluated, 0, "bc", "no policy 'bc'"), (evaluated / "zero", 0, "zero", "is not an evaluation's folder"),
+        (by_number.bag, 3, "", "is no run whose episode 3"),
+    ):  # fmt: skip
+        with pytest.raises(ConfigError, match=said):
+            find_episode(place, number, policy)
+
+
+def test_its_page_has_all_ticks_and_what_it_was_judged_by(evaluated: Path) -> None:
+    found = find_episode(evaluated, 0)
+    page = shown_episode(found.bag, films=FilmOptions(), others=found.others, name=found.policy)
+    assert page.film is not None
+    assert page.film.frames == page.ticks == len(BagReader(found.bag)) == 7
+    assert page.told == "0 of 2 fingers pressed it, lifted 0 cm of 5."
+    assert {"grasped", "lifted", "others_upright"} <= {one.name for one in page.conditions}
+    assert next(one for one in page.conditions if one.name == "lifted").least > 0.05
+    assert {one.name for one in page.signals} == {"Action", "Gripper", "Tool centre point", "Joints"}
+    assert page.others[0].film is not None
+    random = find_episode(evaluated, 0, "random").bag
+    assert scene_hash(BagReader(found.bag).info) == scene_hash(BagReader(random).info)
+
+
+def test_what_the_policy_printed_is_told_by_episode(tmp_path: Path) -> None:
+    assert printed(tmp_path, 1) == ("", "The logs of its run are not beside its bag.")
+    (tmp_path / "logs").mkdir()
+    log = tmp_path / "logs/worker-0.log"
+    log.write_text("loading\n")
+    assert "do not tell its episodes apart" in printed(tmp_path, 1)[1]
+    first, second, other = (EPISODE_MARK.format(n) for n in (1, 1, 2))
+    node = "[INFO] [1795693283.896] [w0.sim]: renderer"
+    log.write_text(f"loading\n{first}\nlost\n{second}\nhello\n{node}\nworld\n{other}\nnot mine\n")
+    assert printed(tmp_path, 1) == ("hello\nworld", ""), "of the last attempt, without the nodes' lines"
+    log.write_text(f"{first}\nhello\nnanobind: leaked 2 instances!\n")
+    assert printed(tmp_path, 1)[0] == "hello"
+    log.write_text(f"{first}\n" + "\n".join(map(str, range(1000))))
+    assert "600 lines left out" in printed(tmp_path, 1)[0]
+
+
+def test_the_command_prints_a_summary_or_writes_a_page(evaluated: Path, tmp_path: Path) -> None:
+    text = CliRunner().invoke(command, [str(evaluated), "0"])
+    assert text.exit_code == 0, text.output
+    assert "Pick up the" in text.stdout.splitlines()[0]
+    assert "random: failure" in text.stdout
+    out = tmp_path / "why.html"
+    page = CliRunner().invoke(command, [str(evaluated), "0", "--out", str(out)])
+    assert page.exit_code == 0, page.output
+    assert 'data-frames="7"' in out.read_text()
+    assert "expert, planned now" in out.read_text()
+
+
+def test_the_experts_way_is_planned_in_the_same_scene(evaluated: Path, tmp_path: Path) -> None:
+    info = BagReader(find_episode(evaluated, 0).bag).info
+    way = BagReader(expert_way(info, tmp_path).bag)
+    assert way.info.scene == info.scene
+    assert way.result.outcome == "success"
