@@ -162,6 +162,7 @@ SHARED: dict[str, dict[str, Any]] = {
         type=Named("skill"), multiple=True, callback=_joined, metavar="NAME[,NAME]",
         help="A skill instead of a task, or several, which share the episodes; roboxim tasks list shows them.",
     ),
+    "suite": dict(type=Named("suite"), default="", help="Suite of config/suites instead: core, language or clutter."),
     "object": dict(
         name="objects", type=Models("object"), multiple=True, metavar="[ROLE=]MODEL[,MODEL]",
         help="Object models of the target, or of another role; may be repeated.",
@@ -211,7 +212,7 @@ SHARED: dict[str, dict[str, Any]] = {
 """Options that several commands have, which mean the same everywhere; a command may change the help and the default."""
 
 
-TASK_WORDS = ("task", "skill", "object", "distractors", "colors", "camera", "light", "texture", "look")
+TASK_WORDS = ("task", "skill", "suite", "object", "distractors", "colors", "camera", "light", "texture", "look")
 """Options that choose a task and change it, as `roboxim_runs.episodes.task_choice.task_text` takes them."""
 
 

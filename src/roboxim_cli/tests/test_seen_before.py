@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -9,13 +11,17 @@ from PIL import Image
 
 from roboxim_cli.main import group
 from roboxim_core.config import load_config, named_config
+from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
 from roboxim_core.seeds import SeedPath
 from roboxim_core.vision.looks import LookSet
-from roboxim_runs.episodes.task_choice import task_text
+from roboxim_runs.episodes.task_choice import mix_of, task_text
+from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
+from roboxim_runs.evaluation.run import EvaluationConfig
 from roboxim_runs.scenes.pictures import MARK, picture_of
 from roboxim_tasks.config import parse_task_config
 from roboxim_tasks.sampling.episodes import EpisodeGenerator
+from roboxim_tasks.skills import SKILLS
 
 
 def run(*words):
@@ -85,3 +91,34 @@ def test_a_single_value_stands_for_a_list(library):
     assert scene.entities[0].model == "apple"
     with pytest.raises(ConfigError, match="intensity must be a number"):
         parse_task_config(text.replace("0.6", "bright"))
+
+
+def test_suites_are_versioned_and_balanced():
+    for name, episodes, cells in (("core", 70, 14), ("language", 70, 16), ("clutter", 70, 14)):
+        config = EvaluationConfig(policies="zero", suite=name)
+        mix = mix_of(config.task_text())
+        assert config.task_name == f"suite {name}, version 1"
+        assert (sum(mix.counts), len(mix.cells)) == (episodes, cells)
+        assert {cell.skill for cell in mix.cells} == set(SKILLS)
+        assert mix.seed_by == "cell"
+    core = run("tasks", "show", "core").output
+    assert "14 cells, 70 episodes" in core
+    with pytest.raises(ConfigError, match="a suite has tasks of its own"):
+        task_text("stack", suite="core")
+    with pytest.raises(ConfigError, match="did you mean 'clutter'"):
+        run("tasks", "show", "cluter")
+
+
+def test_an_evaluation_of_several_skills_has_a_table_by_skill():
+    results = {
+        name: PolicyResult(
+            name=name, folder=Path(name),
+            results=tuple(
+                EpisodeResult(episode_id=f"e{i}", index=i, skill=skill, outcome=outcome)
+                for i, (skill, outcome) in enumerate(zip(["stack", "pick_up", "stack"], outcomes, strict=True))
+            ),
+        )
+        for name, outcomes in {"a": ["success", "failure", "success"], "b": ["failure"] * 3}.items()
+    }  # fmt: skip
+    table = EvaluationResult(policies=results, report=None, comparison="", privileged=()).by_skill
+    assert [" ".join(row.split()) for row in table] == ["a b", "pick_up 0 of 1 0 of 1", "stack 2 of 2 0 of 2"]

@@ -12,7 +12,7 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import PurePath
-from typing import Any
+from typing import Any, ClassVar
 
 from roboxim_core import limits
 from roboxim_core.config import LocatedMap, line_of, load_yaml, located, named_config, parse_yaml
@@ -156,7 +156,9 @@ class CellConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class MixConfig:
-    """A YAML file of ``config/tasks`` with several tasks: a dataset with exact episode counts."""
+    """A YAML file of ``config/tasks`` or ``config/suites`` with several tasks: exact episode counts."""
+
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("version",)
 
     cells: tuple[CellConfig, ...]
     """The parts."""
@@ -165,6 +167,9 @@ class MixConfig:
     seed_by: str = "index"
     """``index``: an episode depends on its index in the run; ``cell``: on its cell and its number there, so that mixes
     with other cells or counts have the same episodes in the cells that they share."""
+
+    version: int = 0
+    """Version of a suite: results of two versions are not compared; 0: no suite."""
 
     def __post_init__(self) -> None:
         """Check that there is a cell.

@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.named import Named
 from roboxim_cli.options import option, task_options, with_options
 
 
@@ -52,12 +51,13 @@ def _show(skills: dict[str, Any], tasks: dict[str, Any]) -> None:
 
 
 @command.command("show")
-@click.argument("name", type=Named("task"))
+@click.argument("name", metavar="TASK|SUITE|SKILL")
 def show(name: str) -> None:
-    r"""Describe a task, a mix or a skill: objects, scene, cameras, what varies, when it has succeeded.
+    r"""Describe a task, a suite or a skill: objects, scene, cameras, what varies, when it has succeeded.
 
     \b
     roboxim tasks show place_on
+    roboxim tasks show core
     roboxim tasks show my_task.yaml
     """
     from roboxim_runs.scenes.words import task_lines

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from roboxim_bringup.graph import GraphConfig, PolicyLaunch
-from roboxim_core.config import from_plain, to_plain
+from roboxim_core.config import from_plain, load_yaml, named_config, to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig, episode_id
 from roboxim_core.episode.records import WORKER_DIED
 from roboxim_core.errors import ConfigError
@@ -48,6 +48,8 @@ class EpisodesConfig:
     """Task of ``config/tasks``, or a YAML file; empty: that of the skill, or ``pick_cube``."""
     skill: str = ""
     """A skill instead of a task; or several, separated by commas, which share the episodes."""
+    suite: str = ""
+    """A suite of ``config/suites`` instead of a task, e.g. ``core``."""
     objects: Sequence[str] = ()
     """``[ROLE=]MODEL[,MODEL]``: object models of the target, or of another role."""
     distractors: str = ""
@@ -129,6 +131,9 @@ class EpisodesConfig:
     @property
     def task_name(self) -> str:
         """The task's name, for reports."""
+        if self.suite:
+            version = load_yaml(named_config("suites", self.suite)).get("version", 0)
+            return f"suite {Path(self.suite).stem}, version {version}"
         return Path(self.task).stem or self.skill or DEFAULT_TASK
 
     def task_text(self) -> str:
@@ -138,7 +143,8 @@ class EpisodesConfig:
             ConfigError: When there is no such task or skill, or the result is not valid.
         """
         return task_text(
-            self.task, skill=self.skill, objects=self.objects, distractors=self.distractors, colors=self.colors,
+            self.task, skill=self.skill, suite=self.suite, objects=self.objects, distractors=self.distractors,
+            colors=self.colors,
             cameras=self.cameras, lights=self.lights, textures=self.textures, look=self.look,
         )  # fmt: skip
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from roboxim_core.config import config_dirs, named_config, parse_yaml
+from roboxim_core.config_folders import config_names, is_path
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.documents import read_text
 from roboxim_core.plain_data.merging import merged
@@ -29,6 +30,7 @@ def task_text(
     task: str = "",
     *,
     skill: str = "",
+    suite: str = "",
     objects: Sequence[str] = (),
     distractors: str = "",
     colors: str = "",
@@ -43,6 +45,7 @@ def task_text(
         task: Name in ``config/tasks`` or a file; empty: the skill's task, or the default task.
         skill: A skill, whose own configuration is ``config/tasks/<skill>.yaml`` if there is one; several, separated by
             commas, share the episodes equally.
+        suite: A suite of ``config/suites``, or a YAML file.
         objects: ``[ROLE=]MODEL[,MODEL]``, the default role is ``target``.
         distractors: Number or range of distractors, e.g. ``1-3``; empty: as configured.
         colors: Comma-separated colours of the target; empty: as configured.
@@ -56,7 +59,7 @@ def task_text(
     """
     from roboxim_tasks.config import any_task_config
 
-    text, source = _base(task, _words(skill))
+    text, source = _base(task, _words(skill), suite)
     any_task_config(parse_yaml(text, source=source), source=source)
     reset = _reset_changes(cameras, lights, textures, look)
     if not (objects or distractors or colors or reset):
@@ -66,7 +69,7 @@ def task_text(
     if "cells" in data:
         if objects:
             raise ConfigError(
-                f"'{task or skill}' is a mix of tasks with objects of its own; --object needs a task of one skill"
+                f"'{suite or task or skill}' is a mix with objects of its own; --object needs a task of one skill"
             )
         changed = data.setdefault("set", {})
     for item in objects:
@@ -85,6 +88,28 @@ def task_text(
     text = str(yaml.safe_dump(data, sort_keys=False))
     any_task_config(data, source=f"{source} with the command line's options")
     return text
+
+
+def named_task(name: str, *, others: Sequence[str] = ()) -> tuple[str, Path | None]:
+    """Return the configuration of a task, a suite or a skill as YAML text, and its file.
+
+    Args:
+        name: Name in ``config/tasks`` or ``config/suites``, a YAML file, or a skill.
+        others: Further names that the user may have meant.
+
+    Raises:
+        ConfigError: When there is no such thing, or it is not valid.
+    """
+    from roboxim_tasks.skills import SKILLS
+
+    for kind in ("tasks", "suites"):
+        if is_path(name) or name in config_names(kind):
+            file = named_config(kind, name)
+            return task_text(str(file)), file
+    if name in SKILLS:
+        return task_text(skill=name), None
+    known = {*config_names("tasks"), *config_names("suites"), *SKILLS, *others}
+    raise ConfigError(f"there is no '{name}'; {one_of(known, name)}")
 
 
 def _reset_changes(
@@ -140,10 +165,14 @@ def _words(text: str) -> list[str]:
     return list(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
 
 
-def _base(task: str, skills: Sequence[str]) -> tuple[str, str]:
+def _base(task: str, skills: Sequence[str], suite: str) -> tuple[str, str]:
     """Return a task configuration's text and its source."""
     from roboxim_tasks.skills import SKILLS
 
+    if suite:
+        if task or skills:
+            raise ConfigError(f"give either --suite {suite} or a task: a suite has tasks of its own")
+        return _read(named_config("suites", suite))
     if task and skills:
         raise ConfigError(f"give either --task {task} or --skill {','.join(skills)}: a task has a skill of its own")
     if not skills:

@@ -101,6 +101,21 @@ class EvaluationResult:
         """Results by episode of the policy under test."""
         return self.first.results
 
+    @property
+    def by_skill(self) -> tuple[str, ...]:
+        """Table of the successes by skill, a line each; empty when there is one skill."""
+        skills = sorted({episode.skill for policy in self.policies.values() for episode in policy.results})
+        if len(skills) < 2:
+            return ()
+        rows = [("", *self.policies)]
+        for skill in skills:
+            of = {name: [r for r in policy.results if r.skill == skill] for name, policy in self.policies.items()}
+            rows.append(
+                (skill, *(f"{sum(r.outcome == 'success' for r in found)} of {len(found)}" for found in of.values()))
+            )
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return tuple("  ".join(cell.ljust(n) for cell, n in zip(row, widths, strict=True)).rstrip() for row in rows)
+
     def require_measured(self) -> None:
         """Refuse a result in which most episodes of a policy ended in errors.
 

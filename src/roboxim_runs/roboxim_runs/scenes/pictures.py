@@ -14,7 +14,7 @@ from roboxim_bringup.cores import CorePlanner, CoreSegmentation
 from roboxim_core.config import load_config, load_yaml, named_config
 from roboxim_core.config_folders import config_names
 from roboxim_core.episode import Draw
-from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import drawn_entities
 from roboxim_core.seeds import SeedPath
@@ -23,7 +23,7 @@ from roboxim_core.state import StateRecord
 from roboxim_core.vision.cameras import load_camera
 from roboxim_recorder.bag import BagReader
 from roboxim_runs.episodes.caption import captioned
-from roboxim_runs.episodes.task_choice import task_text
+from roboxim_runs.episodes.task_choice import named_task
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.states import StateRenderer
 from roboxim_sim.world import World
@@ -32,7 +32,6 @@ from roboxim_tasks.demonstration.solvable import Solvability
 from roboxim_tasks.roles import task_distractors
 from roboxim_tasks.sampling.episodes import EpisodeGenerator
 from roboxim_tasks.sampling.visible import Visibility
-from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.task_config import TaskConfig
 
 RgbImage = npt.NDArray[np.uint8]
@@ -190,10 +189,7 @@ def picture_of(what: str, *, seed: int = 0, renderer: str = "raster") -> tuple[I
         if what in config_names("scenes") or (path.is_file() and _is_scene(path)):
             scene = load_config(named_config("scenes", what), SceneSpec)
             return painter.picture(scene), f"scene {what}: {len(scene.entities)} objects"
-        if not path.is_file() and what not in SKILLS and what not in config_names("tasks"):
-            known = (*config_names("tasks"), *SKILLS, *config_names("scenes"))
-            raise ConfigError(f"no task, skill, scene or bag '{what}'; {one_of(known, what)}")
-        text = task_text(skill=what) if what in SKILLS and what not in config_names("tasks") else task_text(what)
+        text, _ = named_task(what, others=config_names("scenes"))
         drawn = painter.draw(SeedPath(run_seed=seed, purpose="demo", index=0), parse_task_config(text))
         return painter.picture(drawn.scene, drawn.task), drawn.task.instruction
 

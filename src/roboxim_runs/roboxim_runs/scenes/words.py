@@ -6,13 +6,11 @@ import itertools
 from collections.abc import Iterator
 from typing import Any
 
-from roboxim_core.config import named_config, to_plain
-from roboxim_core.config_folders import config_names
-from roboxim_runs.episodes.task_choice import task_text
+from roboxim_core.config import to_plain
+from roboxim_runs.episodes.task_choice import named_task
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.lights import LampsConfig
 from roboxim_tasks.config import TaskMix, parse_task_config
-from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.task_config import TaskConfig
 
 CELLS = 20
@@ -23,15 +21,14 @@ def task_lines(name: str) -> Iterator[str]:
     """Yield the description of a task, line by line.
 
     Args:
-        name: Name in ``config/tasks``, a YAML file, or a skill.
+        name: Name in ``config/tasks`` or ``config/suites``, a YAML file, or a skill.
 
     Raises:
         ConfigError: When there is no such task, or it is not valid.
     """
-    skill = name in SKILLS and name not in config_names("tasks")
-    config = parse_task_config(task_text(skill=name) if skill else task_text(name))
-    if not skill:
-        file = named_config("tasks", name)
+    text, file = named_task(name)
+    config = parse_task_config(text)
+    if file is not None:
         comment = itertools.takewhile(lambda line: line.startswith("#"), file.read_text().splitlines())
         yield from (line.lstrip("# ") for line in comment)
         yield f"file          {file}"

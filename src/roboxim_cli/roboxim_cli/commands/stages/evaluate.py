@@ -88,7 +88,7 @@ def command(
 
     \b
     roboxim evaluate --policy bc --checkpoint runs/bc --policy random --episodes 20
-    roboxim evaluate --policy my_module:MyPolicy
+    roboxim evaluate --policy my_module:MyPolicy --suite core
     roboxim evaluate --policy openpi --option url=ws://host:8000 --option convention=libero --option version=pi05_libero
     roboxim evaluate --policy old=bc --checkpoint old=runs/bc --policy new=bc --checkpoint new=runs/bc2
 
@@ -125,7 +125,7 @@ def command(
             f"policy {name} is privileged: it received the task, scene and state, "
             "which a policy under test must not see"
         )
-    for line in (stopped, result.comparison):
+    for line in (*result.by_skill, stopped, result.comparison):
         if line:
             click.echo(line)
     click.echo(f"report: {result.report}")
