@@ -7,13 +7,13 @@ BIN := .venv/bin
 # Container images often set this variable. Without compiled modules each process of a run starts a second later.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-slow fuzz format lint types docs colcon verify-conventions verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals lock clean clean-all
+.PHONY: help setup demo test test-slow fuzz format lint types docs colcon verify-conventions verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals release lock clean clean-all
 
 help: ## list the commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
 	  awk -F ':.*## ' '{ printf "  make %-13s %s\n", $$1, $$2 }'
 
-setup: ## install everything into this checkout (.tools/, .venv/); PYTHON=... chooses the Python 3.11
+setup: ## install everything into this checkout (.tools/, .venv/); PYTHON=... chooses the Python (3.11 to 3.13)
 	@PYTHON="$(PYTHON)" sh scripts/set_up.sh
 
 demo: setup ## run the main job: generate, record, export, train, evaluate; ARGS="..." adds options
@@ -103,6 +103,10 @@ scale: setup ## add Ray, S3 and a stand-in for S3 to .venv, for --executor ray, 
 robot-visuals: setup ## rebuild the robots' URDFs and decimated meshes from the example-robot-data wheel
 	$(BIN)/python config/robots/panda/derive.py
 	$(BIN)/python config/robots/ur5/derive.py
+
+release: setup ## build the distributions into dist/, install and run them in empty environments; ARGS="--python 3.12"
+	@.venv/bin/python scripts/make_environment.py release
+	@.venv/bin/python scripts/release.py $(ARGS)
 
 lock: setup ## rebuild the locks in requirements/ from the pyproject.toml files
 	@$(BIN)/python scripts/lock.py $(ARGS)

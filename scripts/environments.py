@@ -24,6 +24,9 @@ LOCKS = ROOT / "requirements"
 UV = TOOLS / "uv" / "bin" / "uv"
 PYTHON = os.path.realpath(getattr(sys, "_base_executable", None) or sys.executable)
 
+EVERY_PYTHON = ("build", "dev", "installer", "release", "scale")
+"""Locks for each Python that RoboXim runs on; the others are for 3.11, which their packages want."""
+
 # Variables of a ROS installation or a Python environment, which must not reach a build.
 FOREIGN_VARIABLES = (
     "AMENT_PREFIX_PATH",
@@ -166,21 +169,22 @@ def digest(*parts: str | Path) -> str:
     return total.hexdigest()
 
 
-def environment_key() -> str:
+def environment_key(python: str = PYTHON) -> str:
     """Hash an environment's interpreter and path, whose change makes the environment unusable."""
-    return digest(PYTHON, sys.version, str(ROOT))
+    return digest(python, sys.version, str(ROOT))
 
 
-def packages_key(lock: Path) -> str:
+def packages_key(lock: Path, python: str = PYTHON) -> str:
     """Hash everything that an environment made from a lock depends on."""
-    return digest(lock, environment_key())
+    return digest(lock, environment_key(python))
 
 
 class Environment:
     """A virtual environment that records which steps have finished in it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, base: str = PYTHON) -> None:
         self.path = path
+        self.base = base
         self.python = path / "bin" / "python"
         self._state = path / ".roboxim"
 
@@ -207,7 +211,8 @@ class Environment:
         environment (`uv pip sync`) would remove half of ROS.
         """
         shutil.rmtree(self.path, ignore_errors=True)
-        run(f"{self.path.name.lstrip('.')}-create", UV, "venv", "--quiet", "--python", PYTHON, self.path)
+        base = self.base if lock.stem in EVERY_PYTHON else "3.11"
+        run(f"{self.path.name.lstrip('.')}-create", UV, "venv", "--quiet", "--python", base, self.path)
         self._state.mkdir()
-        with self.writing("packages", packages_key(lock)):
+        with self.writing("packages", packages_key(lock, self.base)):
             uv_pip(self, "install", "--require-hashes", "--no-deps", "--requirements", lock)

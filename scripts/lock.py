@@ -13,7 +13,7 @@ import sys
 import tempfile
 import tomllib
 
-from environments import LOCKS, ROOT, UV, clean_environment, index_settings
+from environments import EVERY_PYTHON, LOCKS, ROOT, UV, clean_environment, index_settings
 
 MEMBERS = [ROOT / "src" / name / "pyproject.toml" for name in ("roboxim_interfaces", "roboxim_planner_native")]
 
@@ -46,6 +46,7 @@ def lock(name: str, requirements: list[str], *options: str, without: tuple[str, 
     """Resolve requirements into `requirements/NAME.lock`, without the packages whose names start as given."""
     command = [
         *(UV, "pip", "compile", "--quiet", "--python-version", "3.11", "--generate-hashes"),
+        *(("--universal",) if name in EVERY_PYTHON else ()),
         *("--no-header", "--no-annotate", "--no-emit-index-url", "--no-emit-find-links"),
         *("--output-file", LOCKS / f"{name}.lock", *options),
         *(() if options and "pyproject.toml" in options else ("-",)),
@@ -68,7 +69,9 @@ def lock(name: str, requirements: list[str], *options: str, without: tuple[str, 
 
 def lock_scale(*options: str) -> None:
     """Resolve the packages that `make scale` adds to the environment of dev.lock, with that one's versions."""
-    pinned = re.findall(r"^([a-z0-9][^=]*)==(\S+)", (LOCKS / "dev.lock").read_text(), flags=re.MULTILINE)
+    pinned = re.findall(
+        r"^([a-z0-9][^=]*)==(\S+)(?: \\| ; python_full_version)", (LOCKS / "dev.lock").read_text(), flags=re.MULTILINE
+    )  # without those that dev.lock has for other systems only
     constraints = [f"{name}=={version}" for name, version in pinned if name not in OTHER_FOR_SCALE]
     with tempfile.NamedTemporaryFile("w", suffix=".txt") as file:
         file.write("\n".join(constraints))
@@ -84,9 +87,11 @@ def main() -> None:
     upgrade = ["--upgrade"] if parser.parse_args().upgrade else []
     lock("installer", group("installer"), *upgrade)
     ours = [part for name in ("interfaces", "planner-native") for part in ("--no-emit-package", f"roboxim-{name}")]
-    lock("dev", [], "pyproject.toml", "--group", "dev", *ours, *upgrade)
+    extras = [part for name in ("learn", "lerobot", "studio") for part in ("--extra", name)]
+    lock("dev", [], "pyproject.toml", "--group", "dev", *extras, *ours, *upgrade)
     lock_scale(*upgrade)
     lock("build", build_requirements() + group("build"), *upgrade)
+    lock("release", group("release"), *upgrade)
     lock("colcon", build_requirements() + group("colcon"), *upgrade)
     for name in (
         "verify-rlds",

@@ -1,7 +1,7 @@
 """Install RoboXim into its checkout: tools, locked packages, compiled packages, the `roboxim` command.
 
-All files go to `.tools/` and `.venv/`; `make clean-all` removes both. Requirements: Python 3.11, a C and C++ compiler
-and a package index.
+All files go to `.tools/` and `.venv/`; `make clean-all` removes both. Requirements: Python 3.11 to 3.13, a C and
+C++ compiler, and a package index.
 
 Design:
 
@@ -19,6 +19,7 @@ import contextlib
 import fcntl
 import json
 import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -53,6 +54,7 @@ from environments import (
 )
 
 WHEELS_KEPT = 5  # of each member, so that switching branches does not rebuild them
+VERSION = "{}.{}".format(*sys.version_info)
 GL_PACKAGES = ("libegl1", "libgl1-mesa-dri")
 
 venv = Environment(ROOT / ".venv")
@@ -83,14 +85,35 @@ class Member:
         others = (self.folder / "README.md", self.folder / "tests")
         return sorted(path for path in files if not any(path.is_relative_to(other) for other in others))
 
-    def key(self) -> str:
-        """Hash the names and contents of its files, and its build tools."""
+    def key(self, version: str = sys.version) -> str:
+        """Hash the names and contents of its files, its build tools, and the version of Python."""
         names = "\n".join(str(path.relative_to(self.folder)) for path in self.files())
-        return digest(names, *self.files(), LOCKS / "build.lock", environment_key())
+        return digest(names, *self.files(), LOCKS / "build.lock", version, platform.platform(terse=True))
 
-    def wheel(self) -> Path | None:
-        """Return the wheel for these files, if it was built."""
-        return next((self.wheels / self.key()[:16]).glob("*.whl"), None)
+    def wheel(self, version: str = sys.version) -> Path | None:
+        """Return the wheel for these files, if this checkout or another one has built it."""
+        key = self.key(version)[:16]
+        found = next((self.wheels / key).glob("*.whl"), None)
+        if found is None and (cache := wheel_cache()):
+            found = next((cache / self.name / key).glob("*.whl"), None)
+        return found
+
+    def keep(self, folder: Path) -> None:
+        """Copy a built wheel into the cache, for other checkouts."""
+        if cache := wheel_cache():
+            with contextlib.suppress(OSError):  # a home that cannot be written
+                kept = cache / self.name / folder.name
+                scratch = kept.with_suffix(f".{os.getpid()}")
+                shutil.copytree(folder, scratch)
+                scratch.rename(kept)
+
+
+def wheel_cache() -> Path | None:
+    """Return the user's folder of built wheels; ``ROBOXIM_WHEEL_CACHE`` names another one, or none if it is empty."""
+    chosen = os.environ.get("ROBOXIM_WHEEL_CACHE")
+    if chosen is None:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "roboxim" / "wheels"
+    return Path(chosen) if chosen else None
 
 
 MEMBERS = (
@@ -109,7 +132,7 @@ def require_build_tools() -> None:
     if not (shutil.which("cc") and shutil.which("c++")):
         missing.append(("a C and C++ compiler", "build-essential"))
     if not Path(sysconfig.get_path("include"), "Python.h").exists():
-        missing.append((f"the headers of {PYTHON} (Python.h)", "python3.11-dev"))
+        missing.append((f"the headers of {PYTHON} (Python.h)", f"python{VERSION}-dev"))
     if missing:
         what = " and ".join(name for name, _ in missing)
         packages = " ".join(package for _, package in missing)
@@ -134,7 +157,7 @@ def install_uv() -> None:
                 run("pip", PYTHON, "-m", "venv", environment)
             except SetupError as error:
                 raise SetupError(
-                    "Python has no pip and no venv; on Debian or Ubuntu: apt install python3.11-venv"
+                    f"Python has no pip and no venv; on Debian or Ubuntu: apt install python{VERSION}-venv"
                 ) from error
             pip = [str(environment / "bin" / "python"), "-m", "pip"]
         pip += ["install", "--quiet", "--require-hashes", "--no-deps", "--target", str(TOOLS / "uv")]
@@ -190,6 +213,7 @@ def build(member: Member) -> None:
             hint = "" if interrupted.is_set() else "\nIf no file of it is wrong: make clean, then make setup again."
             raise SetupError(f"{error}{hint}") from error
         scratch.rename(folder)
+        member.keep(folder)
         for old in sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime)[:-WHEELS_KEPT]:
             shutil.rmtree(old)
 

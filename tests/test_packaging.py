@@ -63,6 +63,6 @@ def test_interfaces_name_the_same_dependencies_everywhere() -> None:
     standard = {path.name for path in (INTERFACES / "standard").iterdir()}
     wheels = {f"ros-jazzy-{name.replace('_', '-')}" for name in packages - standard}
     distribution = tomllib.loads((INTERFACES / "pyproject.toml").read_text())
-    required = {requirement.split("==")[0] for requirement in distribution["project"]["dependencies"]}
+    required = {re.split("[~=]=", requirement)[0] for requirement in distribution["project"]["dependencies"]}
     assert required == wheels
     assert wheels <= {requirement.split("==")[0] for requirement in distribution["build-system"]["requires"]}

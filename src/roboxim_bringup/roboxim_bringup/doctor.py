@@ -15,6 +15,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from roboxim_bringup.extras import EXTRAS, PURPOSES, absent, install_command
 from roboxim_core.errors import RoboximError
 from roboxim_core.registry import Registry
 from roboxim_core.user_folders import user_name
@@ -22,8 +23,11 @@ from roboxim_core.user_folders import user_name
 GIB = 2**30
 MIB = 2**20
 WHEELS = ("ros-jazzy-rclpy", "ros-fastrtps", "ros-jazzy-sensor-msgs")
+OLDEST_PYTHON, NEWEST_PYTHON = (3, 11), (3, 13)
+PYBULLET = "pybullet" if sys.version_info < (3, 12) else "pybullet-arm64"
+"""Distribution that brings PyBullet: its maintained fork where PyBullet itself has no wheel."""
 LIBRARIES = (
-    "numpy", "pybullet", "pin", "ompl", "ruckig", "moderngl", "opencv-python-headless", "mcap", "rosbags", "jax",
+    "numpy", PYBULLET, "pin", "ompl", "ruckig", "moderngl", "opencv-python-headless", "mcap", "rosbags",
 )  # fmt: skip
 
 
@@ -84,9 +88,9 @@ def _finding(check: Callable[[], Finding]) -> Finding:
 def _python() -> Finding:
     version = ".".join(map(str, sys.version_info[:3]))
     return _rated(
-        "Python", sys.version_info[:2] == (3, 11), f"{version} ({sys.executable})", "missing",
-        remedy="make setup PYTHON=/path/to/python3.11",
-        without="the wheels of ROS 2 Jazzy and PyBullet exist for 3.11 only",
+        "Python", OLDEST_PYTHON <= sys.version_info[:2] <= NEWEST_PYTHON, f"{version} ({sys.executable})", "missing",
+        remedy="install RoboXim with Python 3.11, 3.12 or 3.13; in a checkout: make setup PYTHON=/path/to/python3.12",
+        without="the wheels of ROS 2 Jazzy and PyBullet exist for these only",
     )  # fmt: skip
 
 
@@ -118,6 +122,18 @@ def _libraries() -> Finding:
     return _packages("libraries", LIBRARIES)
 
 
+def _extras() -> Finding:
+    missing = {extra: modules for extra in EXTRAS if (modules := absent(extra))}
+    return Finding(
+        name="extras",
+        state="absent" if missing else "ok",
+        detail=f"installed: {', '.join(extra for extra in EXTRAS if extra not in missing) or 'none'}"
+        + (f"; not installed: {', '.join(missing)}" if missing else ""),
+        remedy=install_command(",".join(missing)),
+        purpose="; ".join(f"{extra}: {PURPOSES[extra]}" for extra in missing),
+    )
+
+
 def _interfaces() -> Finding:
     try:
         from roboxim_interfaces.srv import Tick
@@ -134,7 +150,7 @@ def _compiler() -> Finding:
     header = Path(sysconfig.get_paths()["include"], "Python.h")
     detail = f"{compiler or 'no C compiler'}, {header if header.is_file() else 'no Python.h'}"
     return _rated(
-        "compiler", bool(compiler) and header.is_file(), detail, remedy="apt install build-essential python3.11-dev",
+        "compiler", bool(compiler) and header.is_file(), detail, remedy="apt install build-essential python3-dev",
         without="everything works until an interface file changes",
     )  # fmt: skip
 
@@ -290,6 +306,7 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     _ros_wheels,
     _interfaces,
     _libraries,
+    _extras,
     _compiler,
     _verify_rlds,
     _terminal,

@@ -23,7 +23,7 @@ FOLDERS = ("commands", "ros")
 SECTIONS = {
     "The main job": ("demo", "tasks", "generate", "merge", "export", "dataset", "train", "evaluate"),
     "Experiments": ("experiment", "benchmark"),
-    "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor"),
+    "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor", "upgrade-check"),
     "Planning": ("planner",),
     "Recordings": ("show", "bag", "replay", "rerender", "view"),
     "Datasets": ("dataset",),
@@ -39,7 +39,7 @@ SECTIONS = {
 def command_files() -> dict[str, Path]:
     """Return the files of the subcommands, by name; one whose name begins with ``_`` is none."""
     here = Path(__file__).parent
-    files = {path.stem: path for folder in FOLDERS for path in (here / folder).rglob("[a-z]*.py")}
+    files = {path.stem.replace("_", "-"): path for folder in FOLDERS for path in (here / folder).rglob("[a-z]*.py")}
     return dict(sorted(files.items()))
 
 
@@ -102,16 +102,49 @@ def short_help(name: str) -> str:
     return found.group(1) if found else ""
 
 
-@strict.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="roboxim", message="%(prog)s %(version)s")
+@strict.group(
+    cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]},
+    invoke_without_command=True, no_args_is_help=True,
+)  # fmt: skip
+@click.option("--version", "show_version", is_flag=True, help="Print the version and end.")
+@click.option("--json", "as_json", is_flag=True, help="With --version: versions of packages and formats, as JSON.")
 @click.option(
     "--events", type=click.Path(path_type=Path, dir_okay=False, writable=True), metavar="FILE",
     help="Append the command's progress to FILE, one JSON object a line, for programs.",
 )  # fmt: skip
-def group(events: Path | None) -> None:
+@click.pass_context
+def group(ctx: click.Context, show_version: bool, as_json: bool, events: Path | None) -> None:
     """Generate, record and evaluate robot manipulation on a ROS 2 node graph."""
+    if as_json and not show_version:
+        ctx.fail("--json belongs to --version here; a command's own --json follows the command's name")
+    if show_version:
+        click.echo(versions_text(as_json))
+        ctx.exit()
+    if ctx.invoked_subcommand is None:
+        ctx.fail("Missing command.")
     if events is not None:
         os.environ["ROBOXIM_EVENTS"] = str(events.absolute())  # EventPrinter writes into it
+
+
+def versions_text(as_json: bool) -> str:
+    """Return RoboXim's version; as JSON also those of Python, the packages that results depend on, and formats."""
+    from importlib import metadata
+
+    if not as_json:
+        return f"roboxim {metadata.version('roboxim')}"
+    import json
+    import platform
+
+    from roboxim_eval.node import versions
+    from roboxim_runs.storage.compatibility import FORMATS
+
+    return json.dumps(
+        {
+            **{"roboxim": metadata.version("roboxim"), "python": platform.python_version()},
+            **{"system": f"{platform.system()} {platform.machine()}", "packages": versions(), "formats": FORMATS},
+        },
+        indent=2,
+    )
 
 
 def _terminate(number: int, _: FrameType | None) -> None:
@@ -144,6 +177,13 @@ def main() -> None:
         wrong_usage = isinstance(error, ConfigError)
         click.echo(f"error: {error}" if wrong_usage else f"error: {error} [{error.code.name}]", err=True)
         sys.exit(2 if wrong_usage else 1)
+    except ModuleNotFoundError as error:
+        from roboxim_bringup.extras import explained
+
+        if (missing := explained(error)) is None:
+            raise
+        click.echo(f"error: {missing}", err=True)
+        sys.exit(2)
     except BrokenPipeError:  # e.g. piped into head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)

@@ -154,6 +154,17 @@ def test_every_command_has_help(name):
         assert "\\b" not in sub.help
 
 
+def test_versions():
+    runner = CliRunner()
+    assert runner.invoke(group, ["--version"]).output.startswith("roboxim ")
+    found = json.loads(runner.invoke(group, ["--version", "--json"]).output)
+    assert {"bag", "card", "bc checkpoint"} <= found["formats"].keys()
+    assert "absent" not in found["packages"].values()
+    wrong = runner.invoke(group, ["--json"])
+    assert wrong.exit_code == 2
+    assert "--version" in wrong.output
+
+
 def test_completion_script_of_each_shell():
     for shell in ("bash", "zsh", "fish"):
         assert "_ROBOXIM_COMPLETE" in _isolated("completion", shell)

@@ -31,16 +31,17 @@ ENDING_S = 60.0
 """Longest wait of a new run for a cancelled run to end its tick; then the new run is rejected [s]."""
 VERSIONED = ("roboxim", "numpy", "scipy", "pybullet", "pin", "ompl", "ruckig", "moderngl", "ros-rclpy")
 
+FORK = "pybullet-arm64"
+"""PyBullet's maintained fork, which brings the same module where PyBullet has no wheel: from Python 3.12 on."""
+
 
 @cache
 def versions() -> dict[str, str]:
     """Return package to version, for the packages that an episode's bytes depend on; do not change it."""
-    found = {}
-    for name in VERSIONED:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = "absent"
+    installed = {distribution.name: distribution.version for distribution in metadata.distributions()}
+    found = {name: installed.get(name, "absent") for name in VERSIONED}
+    if found["pybullet"] == "absent" and FORK in installed:
+        found["pybullet"] = f"{installed[FORK]} ({FORK})"
     return found
 
 

@@ -1,0 +1,26 @@
+"""The table of extras agrees with the distribution, and a missing one is named."""
+
+import re
+import tomllib
+from pathlib import Path
+
+from roboxim_bringup import extras
+from roboxim_core.errors import ConfigError
+
+PROJECT = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
+
+
+def test_every_extra_of_the_distribution_is_described() -> None:
+    offered = PROJECT["optional-dependencies"]
+    assert set(offered) <= set(extras.EXTRAS)
+    assert set(extras.EXTRAS) == set(extras.PURPOSES)
+    for extra, requirements in offered.items():
+        names = {re.split(r"[\[<>=~!;]", requirement)[0].replace("-", "_") for requirement in requirements}
+        assert names == set(extras.EXTRAS[extra])
+
+
+def test_the_extra_of_a_missing_module_is_named() -> None:
+    error = extras.explained(ModuleNotFoundError(name="jax.numpy"))
+    assert isinstance(error, ConfigError)
+    assert "pip install 'roboxim[learn]'" in str(error)
+    assert extras.explained(ModuleNotFoundError(name="somebodys_module")) is None
