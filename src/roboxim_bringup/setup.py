@@ -10,6 +10,13 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/roboxim_bringup"]),
         ("share/roboxim_bringup", ["package.xml"]),
+        ("share/roboxim_bringup/launch", ["launch/graph.launch.py"]),
     ],
+    entry_points={
+        "console_scripts": [
+            f"{name} = roboxim_bringup.node_main:{name}"
+            for name in ("sim", "planner", "tasks", "recorder", "evaluator")
+        ]
+    },
     zip_safe=False,
 )
