@@ -4,11 +4,12 @@ The arguments are those of every ROS 2 package: a namespace and a file of parame
 an installed ROS 2, restarts nodes that die, and lets the commands of `roboxim` attach.
 """
 
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import LaunchConfigurationEquals, LaunchConfigurationNotEquals
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+
+from launch import LaunchDescription
 
 NODES = ("sim", "planner", "tasks", "recorder", "evaluator")
 
