@@ -201,3 +201,21 @@ def test_commands_that_reports_print_are_valid(tmp_path: Path, monkeypatch: pyte
                 )
                 assert not complaint or "does not exist" in complaint, f"{file.name}: {shlex.join(words)}: {complaint}"
     assert {"roboxim up", "roboxim replay", "roboxim show"} <= set(found)
+
+
+def test_documents_use_the_terms_of_the_glossary() -> None:
+    rows = re.findall(r"^\| (.+?) \| (.+?) \| ?(.*?) ?\|$", (ROOT / "docs" / "glossary.md").read_text(), re.MULTILINE)[2:]
+    refused = sorted({word for _, _, others in rows for word in others.split(", ") if word})
+    assert len(rows) >= 40
+    assert len(refused) >= 5
+    names = [name for name, _, _ in rows]
+    assert names == sorted(names, key=str.lower)
+    pattern = re.compile(rf"\b(?:{'|'.join(map(re.escape, refused))})s?\b", re.IGNORECASE)
+    texts = {path: path.read_text() for path in FILES if path.name != "glossary.md"}
+    texts |= {
+        path: "\n".join(found[1] for found in re.finditer(r'"""(.*?)"""', path.read_text(), re.DOTALL))
+        for path in ROOT.glob("src/*/**/*.py")
+        if "tests" not in path.parts
+    }
+    found = [f"{path.relative_to(ROOT)}: {word[0]}" for path, text in texts.items() for word in pattern.finditer(text)]
+    assert not found, found

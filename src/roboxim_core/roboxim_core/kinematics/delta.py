@@ -1,4 +1,4 @@
-"""The delta controller: converts actions to joint targets, for policies, the expert's roll-out and replay.
+"""The delta controller: converts actions to joint targets, for policies, the expert's rollout and replay.
 
 Deltas are added to the *commanded* pose, never to the measured one, which would add the arm's lag to every step and let
 replay drift. The controller is a pure function of its state and the action. Its result contains the action after
