@@ -204,7 +204,8 @@ def test_commands_that_reports_print_are_valid(tmp_path: Path, monkeypatch: pyte
 
 
 def test_documents_use_the_terms_of_the_glossary() -> None:
-    rows = re.findall(r"^\| (.+?) \| (.+?) \| ?(.*?) ?\|$", (ROOT / "docs" / "glossary.md").read_text(), re.MULTILINE)[2:]
+    text = (ROOT / "docs" / "glossary.md").read_text()
+    rows = re.findall(r"^\| (.+?) \| (.+?) \| ?(.*?) ?\|$", text, re.MULTILINE)[2:]
     refused = sorted({word for _, _, others in rows for word in others.split(", ") if word})
     assert len(rows) >= 40
     assert len(refused) >= 5
