@@ -209,3 +209,10 @@ def test_only_the_video_worker_imports_pyav():
     name = "roboxim_datasets.video.worker"
     users = [path for package in ALLOWED for path in modules(package) if name in imports_of(path)]
     assert not users
+
+
+def test_commands_are_made_by_strict_which_refuses_options_given_twice():
+    for path in modules("roboxim_cli"):
+        for word in ("@click.command(", "@click.group(", "click.Group)"):
+            if path.stem != "strict":
+                assert word not in path.read_text(), f"{path.relative_to(SRC)}: use roboxim_cli.strict, not {word}"

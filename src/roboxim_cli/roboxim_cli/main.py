@@ -27,7 +27,7 @@ SECTIONS = {
     "Planning": ("planner",),
     "Recordings": ("show", "bag", "replay", "rerender", "view"),
     "Datasets": ("dataset",),
-    "Objects": ("assets",),
+    "Objects and files": ("assets", "schema"),
     "In a browser": ("studio",),
     "Inspecting a running graph (spelled as in ros2)": (
         "node", "service", "topic", "action", "param", "interface",

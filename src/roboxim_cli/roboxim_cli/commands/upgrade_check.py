@@ -8,8 +8,10 @@ from pathlib import Path
 
 import click
 
+from roboxim_cli import strict
 
-@click.command()
+
+@strict.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(folder: Path, as_json: bool) -> None:
