@@ -21,7 +21,7 @@ DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROF
 FOLDERS = ("commands", "ros")
 """Folders with a file for each subcommand, at any depth."""
 SECTIONS = {
-    "The main job": ("demo", "tasks", "generate", "merge", "export", "dataset", "train", "evaluate"),
+    "The main job": ("demo", "tasks", "generate", "merge", "export", "dataset", "train", "evaluate", "report"),
     "Experiments": ("experiment", "benchmark"),
     "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor", "upgrade-check"),
     "Planning": ("planner",),

@@ -239,6 +239,45 @@ def with_options(*decorators: Decorator) -> Decorator:
     return decorate
 
 
+def film_options() -> Decorator:
+    """Return a decorator that adds the options of a report's films; their values are fields of `FilmOptions`."""
+    return with_options(
+        click.option(
+            "--films", "scenes", type=click.IntRange(0), metavar="SCENES",
+            help="Scenes whose films the report shows, with a page for each episode; 0: none.  [default: 6]",
+        ),
+        click.option(
+            "--film-scenes", "only", metavar="I,J,...", help="Numbers of these scenes, instead of a choice by outcome."
+        ),
+        click.option(
+            "--film-frames", "frames", type=click.IntRange(2), metavar="N",
+            help="Frames of a film in the report; an episode's page has all.  [default: 24]",
+        ),
+        click.option(
+            "--film-px", "height", type=click.IntRange(16), metavar="PX",
+            help="Largest height of a film's frame in the report.  [default: 192]",
+        ),
+    )  # fmt: skip
+
+
+def parse_films(options: dict[str, Any], default: Any = None) -> Any:
+    """Take the values of `film_options` out of a command's options, and return how films are shown.
+
+    Args:
+        options: The command's options, from which these are removed.
+        default: The values of those that were not given; none: RoboXim's.
+    """
+    from dataclasses import replace
+
+    from roboxim_eval.film_options import FilmOptions
+
+    given = {name: options.pop(name, None) for name in ("scenes", "only", "frames", "height")}
+    if given["only"] is not None:
+        given["only"] = tuple(filter(None, (part.strip() for part in given["only"].split(","))))
+    known = {name: value for name, value in given.items() if value is not None}
+    return replace(default or FilmOptions(), **known)
+
+
 def task_options() -> list[Decorator]:
     """Return the options that choose a task and change it."""
     return [option(name) for name in TASK_WORDS]

@@ -16,12 +16,15 @@ FRAME_HEIGHT = 192
 class FilmOptions:
     """Which films a report shows, and how."""
 
-    scenes: int = 8
+    scenes: int = 6
     """Number of scenes whose films are shown, for each policy; 0: none."""
     frames: int = FILM_FRAMES
     """Largest number of frames of a film."""
     height: int = FRAME_HEIGHT
     """Largest height of a frame [px]."""
+
+    only: tuple[str, ...] = ()
+    """Names of the scenes, e.g. ``("3", "7")``; empty: ``scenes`` of them, as many of each pattern of outcomes."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

@@ -10,7 +10,8 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_recorder.bag import BagReader, mcap_file
 from roboxim_recorder.run_bags import read_results
 from roboxim_runs.episodes.showing import Other
-from roboxim_runs.evaluation.report import MOST_OTHERS, RECORD_FILE, stored_record
+from roboxim_runs.evaluation.report import RECORD_FILE, stored_record
+from roboxim_runs.evaluation.shown import MOST_OTHERS
 
 RESULTS_FILE = "results.jsonl"
 

@@ -5,13 +5,10 @@ The report is imported where it is needed: the import takes seconds.
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
@@ -20,23 +17,15 @@ from roboxim_core.whole_files import write_whole
 from roboxim_eval.film_options import FilmOptions
 from roboxim_runs.episodes.run import EpisodesJob
 from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
+from roboxim_runs.evaluation.shown import shown_runs, with_bags
 from roboxim_runs.policies.specs import ChosenPolicy
 from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.storage.store import readable_run
 
-if TYPE_CHECKING:
-    from roboxim_eval.report import PolicyRun
-    from roboxim_eval.report.charts.table_map import Place
-    from roboxim_runs.episodes.facts import EpisodeFacts
-
 RECORD_FILE = "evaluation.json"
 """File beside a report, by which `roboxim merge` writes it again."""
-MOST_OTHERS = 2
-"""Largest number of episodes of others in an episode's page."""
 REPORT_FILE = "report.html"
 """The report's file."""
-PAGES = "pages"
-"""Folder beside a report with the pages of the episodes that it shows, in a folder for each policy."""
 UNTRAINED = ("expert", "random", "zero", "replay")
 """Policies that are no checkpoint of a training."""
 
@@ -60,9 +49,15 @@ class EvaluationRecord:
     undecided: bool = False
     """Whether planned looks at the results have not decided; then no policy is called better."""
     trained: tuple[str, ...] | None = None
-    """Policies that are checkpoints of a training; none: an earlier version did not say, so all."""
+    """Policies that are checkpoints of a training; none: an earlier version did not say; then their facts do."""
     film: FilmOptions = FilmOptions()
     """Which films the report shows. Each shown episode has a page of its own."""
+
+    def is_trained(self, policy: str) -> bool:
+        """Return whether a policy is a checkpoint of a training."""
+        if self.trained is not None:
+            return policy in self.trained
+        return self.facts.get(f"policy {policy}", "").partition(",")[0] not in UNTRAINED
 
 
 def stored_record(out: Path) -> EvaluationRecord:
@@ -128,7 +123,7 @@ def write_evaluation(
     write_whole(out / RECORD_FILE, json.dumps(to_plain(record), indent=2) + "\n")
     infos = {name: info for name, result in found.items() if (info := _first_info(result)) is not None}
     runs = [
-        PolicyRun(policy=name, results=result.results, trained=record.trained is None or name in record.trained)
+        PolicyRun(policy=name, results=result.results, trained=record.is_trained(name))
         for name, result in found.items()
     ]
     return EvaluationResult(
@@ -162,112 +157,31 @@ def _page(
             versions[f"policy {name}"] = info.actor_version
         if info.actor_privileged:
             facts[f"policy {name} is privileged"] = "it sees the task, scene and state"
-    runs, places = evaluated_runs(record, found, out)
+    trained = {name for name in found if record.is_trained(name)}
+    runs, place = shown_runs(found, out, film=record.film, trained=trained)
     report = Report(
-        title=f"Evaluation of {' and '.join(found)} on {record.task}", runs=runs, facts=facts, versions=versions,
+        title=f"Evaluation of {listed(found)} on {record.task}", runs=runs, facts=facts, versions=versions,
         command=record.command, stopped=record.stopped, undecided=record.undecided, 
-        place=places.pop() if len(places) == 1 else None,
+        place=place,
     )  # fmt: skip
     return write_report(report, out)
-
-
-def evaluated_runs(
-    record: EvaluationRecord, found: Mapping[str, PolicyResult], out: Path
-) -> tuple[list[PolicyRun], set[Place]]:  # fmt: skip
-    """Return the policies with what their bags say, and where robots and tables are; write the pages of shown episodes.
-
-    Args:
-        record: What the report says about the evaluation.
-        found: Policy to result.
-        out: The report's folder.
-    """
-    from roboxim_eval.report.charts.table_map import Place
-    from roboxim_eval.report.films import chosen_scenes
-    from roboxim_runs.episodes.facts import episode_facts
-
-    with contextlib.ExitStack() as stack:
-        whole = {name: _with_bags(result) for name, result in found.items()}
-        bags = {
-            name: stack.enter_context(readable_run(found[name].folder, [episode.bag for episode in episodes]))
-            for name, episodes in whole.items()
-        }
-        outcomes: dict[str, list[str]] = {}
-        for episodes in whole.values():
-            for episode in episodes:
-                outcomes.setdefault(str(episode.index), []).append(episode.outcome)
-        scenes = set(chosen_scenes(outcomes, record.film.scenes))
-        shown = {
-            name: {e.index: bags[name] / e.bag for e in episodes if str(e.index) in scenes}
-            for name, episodes in whole.items()
-        }
-        runs, places = [], set()
-        for name, result in found.items():
-            facts = episode_facts(result.folder, result.results, bags=bags[name])
-            places |= {Place(robot=one.robot, table=one.table) for one in facts.values() if one.scene}
-            runs.append(_policy_run(record, result, facts, shown, out))
-    return runs, places
-
-
-def _policy_run(
-    record: EvaluationRecord, result: PolicyResult, facts: Mapping[str, EpisodeFacts],
-    shown: Mapping[str, Mapping[int, Path]], out: Path,
-) -> PolicyRun:  # fmt: skip
-    """Return a policy with films, and write the pages of its shown episodes.
-
-    Args:
-        record: What the report says about the evaluation.
-        result: The policy's results.
-        facts: What its bags say.
-        shown: Policy to index and bag of the shown episodes.
-        out: The report's folder.
-    """
-    from roboxim_eval.report import PolicyRun
-    from roboxim_eval.report.episode import episode_page
-    from roboxim_runs.episodes.showing import Other, films_of, shown_episode
-
-    name, films, pages = result.name, {}, {}
-    for episode in result.results:
-        bag = shown[name].get(episode.index)
-        if bag is None:
-            continue
-        if both := films_of(bag, record.film):
-            films[episode.episode_id] = both[0]
-        others = [
-            Other(name=other, bag=bags[episode.index], link=f"../{other}/{bags[episode.index].name}.html")
-            for other, bags in shown.items() if other != name and episode.index in bags
-        ]  # fmt: skip
-        pages[episode.episode_id] = f"{PAGES}/{name}/{episode.episode_id}.html"
-        there = os.path.relpath(result.folder / episode.bag, out)
-        page = shown_episode(
-            bag, others=others[:MOST_OTHERS], shown_as=there, films=record.film, name=name, run=result.folder
-        )
-        (out / PAGES / name).mkdir(parents=True, exist_ok=True)
-        write_whole(out / pages[episode.episode_id], episode_page(page))
-    return PolicyRun(
-        policy=name, results=result.results, folder=Path(os.path.relpath(result.folder, out)).as_posix(), films=films,
-        pages=pages, trained=record.trained is None or name in record.trained,
-        drawn={key: one.drawn for key, one in facts.items()},
-        starts={key: one.start for key, one in facts.items() if one.start is not None},
-        told={key: one.told for key, one in facts.items() if one.told},
-    )  # fmt: skip
 
 
 def _first_info(result: PolicyResult) -> EpisodeInfo | None:
     """Return the episode information of a policy's first bag; none without a bag."""
     from roboxim_recorder.bag import BagReader
 
-    first = next(iter(_with_bags(result)), None)
+    first = next(iter(with_bags(result)), None)
     if first is None:
         return None
     with readable_run(result.folder, [first.bag]) as run:
         return BagReader(run / first.bag).info
 
 
-def _with_bags(result: PolicyResult) -> list[EpisodeResult]:
-    """Return the episodes whose bags are in the folder or in its store; an unpacked run has none."""
-    recorded = [episode for episode in result.results if episode.bag]
-    gone = {episode.bag for episode in RunFolder(result.folder).without_bag(recorded)}
-    return [episode for episode in recorded if episode.bag not in gone]
+def listed(names: Iterable[str]) -> str:
+    """Return names as a sentence lists them, e.g. ``a, b and c``."""
+    *most, last = names
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def timing_line(results: Sequence[EpisodeResult]) -> str:

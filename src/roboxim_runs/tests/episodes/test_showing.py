@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,8 +21,9 @@ from roboxim_policies.builtin import RandomPolicy, ZeroPolicy
 from roboxim_recorder.bag import BagReader
 from roboxim_runs.episodes.facts import scene_hash
 from roboxim_runs.episodes.showing import expert_way, printed, shown_episode
+from roboxim_runs.evaluation.comparing import compare_evaluations
 from roboxim_runs.evaluation.finding import find_episode
-from roboxim_runs.evaluation.report import RECORD_FILE, EvaluationRecord
+from roboxim_runs.evaluation.report import RECORD_FILE, EvaluationRecord, report_of, stored_record
 from roboxim_runs.storage.folder import EPISODE_MARK, RunFolder
 
 
@@ -39,7 +43,7 @@ def evaluated(tmp_path_factory: pytest.TempPathFactory) -> Path:
             pytest.skip(str(error))
         with graph:
             RunFolder(run).append(EpisodeRunner(graph.ports, config).run_index(0))
-    record = EvaluationRecord(task="pick_cube", seed=0, policies=("zero", "random"))
+    record = EvaluationRecord(task="pick_cube", seed=0, policies=("zero", "random"), trained=())
     (out / RECORD_FILE).write_text(json.dumps(to_plain(record)))
     return out
 
@@ -99,6 +103,34 @@ def test_the_command_prints_a_summary_or_writes_a_page(evaluated: Path, tmp_path
     assert page.exit_code == 0, page.output
     assert 'data-frames="7"' in out.read_text()
     assert "expert, planned now" in out.read_text()
+
+
+def test_evaluations_of_the_past_are_compared_where_scenes_are_equal(evaluated: Path, tmp_path: Path) -> None:
+    other, out = tmp_path / "later", tmp_path / "both"
+    shutil.copytree(evaluated, other)
+    page, said = compare_evaluations((evaluated, other), out)
+    first = evaluated.name
+    assert said.startswith(f"Cannot tell whether {first}: zero differs from later: zero:"), "of one name come first"
+    assert said.count("on the one scene that both met") == 3
+    text = page.read_text()
+    assert "were met by all policies" not in text
+    linked = re.findall(r'href="(pages/[^"]*)"', text)
+    assert len(linked) == 4
+    assert all((out / link).exists() for link in linked)
+    for folders, place, message in (
+        ((evaluated, evaluated), out, "two different evaluations"), ((evaluated, other), other, "choose another --out"),
+        ((evaluated, tmp_path), out, "evaluation.json"),
+    ):  # fmt: skip
+        with pytest.raises(ConfigError, match=message):
+            compare_evaluations(folders, place)
+
+
+def test_films_of_named_scenes_are_shown(evaluated: Path) -> None:
+    text = report_of(evaluated, replace(stored_record(evaluated), film=FilmOptions(only=("0",), frames=3))).report
+    assert text is not None
+    assert text.read_text().count('data-frames="3"') == 2
+    with pytest.raises(ConfigError, match="no episode of scene 9 is recorded"):
+        report_of(evaluated, replace(stored_record(evaluated), film=FilmOptions(only=("9",))))
 
 
 def test_the_experts_way_is_planned_in_the_same_scene(evaluated: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.named import Named
-from roboxim_cli.options import episode_options
+from roboxim_cli.options import episode_options, film_options
 
 
 @strict.command()
@@ -79,6 +79,7 @@ from roboxim_cli.options import episode_options
     help="What a policy server takes of a Ray node, e.g. GPU=1; implies --policy-servers 1.",
 )  # fmt: skip
 @click.option("--other-robot", is_flag=True, help="Allow a robot other than the one that the policy was trained with.")
+@film_options()
 def command(
     policies: tuple[str, ...], checkpoints: tuple[str, ...], policy_options: tuple[str, ...], size: str,
     policy_timeout: float, ensemble: str | None, late_rows: str | None, looks: int | None, executor: str, address: str,
@@ -97,7 +98,7 @@ def command(
     """
     from contextlib import nullcontext
 
-    from roboxim_cli.options import make_executor, make_policy_servers, parse_size
+    from roboxim_cli.options import make_executor, make_policy_servers, parse_films, parse_size
     from roboxim_runs.policies.specs import choose_policies
 
     image_size = parse_size(size)
@@ -108,7 +109,7 @@ def command(
 
     config = EvaluationConfig(
         policies=chosen, size=image_size, policy_timeout_s=policy_timeout, ensemble=ensemble or "",
-        late_rows=late_rows or "", command=command_line(sys.argv[1:]), **options,
+        late_rows=late_rows or "", command=command_line(sys.argv[1:]), film=parse_films(options), **options,
     )  # fmt: skip
     runs_on = make_executor(executor, address, resources, config.workers)
     serves = make_policy_servers(executor, address, policy_resources, policy_servers, Path(config.out))

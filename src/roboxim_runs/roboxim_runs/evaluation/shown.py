@@ -1,0 +1,163 @@
+"""Policies as a report shows them: what their bags say, films of some scenes, and a page for each of those episodes.
+
+The report is imported where it is needed: the import takes seconds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import ConfigError
+from roboxim_core.whole_files import write_whole
+from roboxim_eval.film_options import FilmOptions
+from roboxim_runs.evaluation.results import PolicyResult
+from roboxim_runs.storage.folder import RunFolder
+from roboxim_runs.storage.store import readable_run
+
+if TYPE_CHECKING:
+    from roboxim_eval.report import PolicyRun
+    from roboxim_eval.report.charts.table_map import Place
+    from roboxim_runs.episodes.facts import EpisodeFacts
+
+PAGES = "pages"
+"""Folder beside a report with the pages of the episodes that it shows, in a folder for each policy."""
+MOST_OTHERS = 2
+"""Largest number of episodes of others in an episode's page."""
+
+
+def with_bags(result: PolicyResult) -> list[EpisodeResult]:
+    """Return the episodes whose bags are in the folder or in its store; an unpacked run has none."""
+    recorded = [episode for episode in result.results if episode.bag]
+    gone = {episode.bag for episode in RunFolder(result.folder).without_bag(recorded)}
+    return [episode for episode in recorded if episode.bag not in gone]
+
+
+def shown_runs(
+    found: Mapping[str, PolicyResult], out: Path, *, film: FilmOptions, trained: Collection[str],
+    by_scene: bool = False,
+) -> tuple[list[PolicyRun], Place | None]:  # fmt: skip
+    """Return the policies, and where robot and table are; write the pages of the shown episodes.
+
+    Args:
+        found: Policy to result.
+        out: The report's folder.
+        film: Which films are shown.
+        trained: Policies that are checkpoints of a training.
+        by_scene: Whether scenes are told by what they held, as policies of several runs need; else by index.
+
+    Raises:
+        ConfigError: When stored facts are damaged, or a scene whose film is asked for is not recorded.
+        RecorderError: With code ``BAG_DAMAGED`` when a bag is not whole.
+    """
+    from roboxim_eval.report.charts.table_map import Place
+    from roboxim_eval.report.films import chosen_scenes
+    from roboxim_runs.episodes.facts import episode_facts
+
+    with contextlib.ExitStack() as stack:
+        whole = {name: with_bags(result) for name, result in found.items()}
+        bags = {
+            name: stack.enter_context(readable_run(found[name].folder, [episode.bag for episode in episodes]))
+            for name, episodes in whole.items()
+        }
+        facts = {name: episode_facts(result.folder, result.results, bags=bags[name]) for name, result in found.items()}
+        scenes = _scenes(found, facts, by_scene=by_scene)
+        outcomes: dict[str, list[str]] = {}
+        for name, episodes in whole.items():
+            for episode in episodes:
+                outcomes.setdefault(scenes[name][episode.episode_id], []).append(episode.outcome)
+        if missing := set(film.only) - set(outcomes):
+            raise ConfigError(f"no episode of scene {', '.join(sorted(missing))} is recorded, so there is no film")
+        most = max(map(len, outcomes.values()), default=0)
+        by_all = {scene: met for scene, met in outcomes.items() if len(met) == most}
+        chosen = set(film.only or chosen_scenes(by_all, film.scenes))
+        shown = {
+            name: {scenes[name][e.episode_id]: bags[name] / e.bag for e in episodes
+                   if scenes[name][e.episode_id] in chosen}
+            for name, episodes in whole.items()
+        }  # fmt: skip
+        runs = [
+            _run(result, facts[name], scenes[name], shown, out, film=film, trained=name in trained, name=name)
+            for name, result in found.items()
+        ]
+    places = {Place(robot=f.robot, table=f.table) for mine in facts.values() for f in mine.values() if f.scene}
+    return runs, places.pop() if len(places) == 1 else None
+
+
+def _scenes(
+    found: Mapping[str, PolicyResult], facts: Mapping[str, Mapping[str, EpisodeFacts]], *, by_scene: bool
+) -> dict[str, dict[str, str]]:
+    """Return the name of each episode's scene: its index, or where runs differ the index and the policy that met it."""
+    if not by_scene:
+        return {name: {e.episode_id: str(e.index) for e in result.results} for name, result in found.items()}
+    names: dict[str, str] = {}
+    taken: set[str] = set()
+    scenes: dict[str, dict[str, str]] = {}
+    for name, result in found.items():
+        mine = scenes[name] = {}
+        for episode in result.results:
+            known = facts[name].get(episode.episode_id)
+            met = known.scene if known is not None and known.scene else f"{name} {episode.episode_id}"
+            if met not in names:
+                plain = str(episode.index)
+                names[met] = plain if plain not in taken else f"{plain} of {name}"
+                taken.add(names[met])
+            mine[episode.episode_id] = names[met]
+    return scenes
+
+
+def _run(
+    result: PolicyResult, facts: Mapping[str, EpisodeFacts], scenes: Mapping[str, str],
+    shown: Mapping[str, Mapping[str, Path]], out: Path, *, film: FilmOptions, trained: bool, name: str,
+) -> PolicyRun:  # fmt: skip
+    """Return a policy with its films, and write the pages of its shown episodes.
+
+    Args:
+        result: The policy's results.
+        facts: What its bags say.
+        scenes: Episode id to scene.
+        shown: Policy to scene and bag of the shown episodes.
+        out: The report's folder.
+        film: How films are shown.
+        trained: Whether it is a checkpoint of a training.
+        name: Its name in the report.
+    """
+    from roboxim_eval.report import PolicyRun
+    from roboxim_eval.report.episode import episode_page
+    from roboxim_runs.episodes.showing import Other, films_of, shown_episode
+
+    films, pages = {}, {}
+    for episode in result.results:
+        scene = scenes[episode.episode_id]
+        bag = shown[name].get(scene)
+        if bag is None:
+            continue
+        if both := films_of(bag, film):
+            films[episode.episode_id] = both[0]
+        others = [
+            Other(name=other, bag=bags[scene], link=f"../{_folder(other)}/{bags[scene].name}.html")
+            for other, bags in shown.items() if other != name and scene in bags
+        ]  # fmt: skip
+        page = shown_episode(
+            bag, films=film, others=others[:MOST_OTHERS], shown_as=os.path.relpath(result.folder / episode.bag, out),
+            name=name, run=result.folder,
+        )  # fmt: skip
+        pages[episode.episode_id] = f"{PAGES}/{_folder(name)}/{episode.episode_id}.html"
+        (out / PAGES / _folder(name)).mkdir(parents=True, exist_ok=True)
+        write_whole(out / pages[episode.episode_id], episode_page(page))
+    return PolicyRun(
+        policy=name, results=result.results, folder=Path(os.path.relpath(result.folder, out)).as_posix(), films=films,
+        pages=pages, trained=trained, scenes=scenes,
+        drawn={key: one.drawn for key, one in facts.items()},
+        starts={key: one.start for key, one in facts.items() if one.start is not None},
+        told={key: one.told for key, one in facts.items() if one.told},
+    )  # fmt: skip
+
+
+def _folder(name: str) -> str:
+    """Return the folder of a policy's pages: names of compared runs have a colon and a space."""
+    return name.replace(": ", ".").replace("/", ".")
