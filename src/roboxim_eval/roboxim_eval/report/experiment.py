@@ -64,6 +64,8 @@ SCORES = {
                      "allows one"),
 }  # fmt: skip
 """Score of a card to its name in tables, what a reader calls it, and what it says."""
+MANY = 6
+"""Number of comparisons from which a page lists them by verdict, with the sentences folded."""
 POINTS = ("gap", "words", "competence")
 """Scores that are differences, shown in points."""
 
@@ -106,6 +108,9 @@ def experiment_page(page: ExperimentPage) -> str:
         conditions=list(arms),
         warnings=(*card.warnings, *page.warnings),
         facts=_facts(card, design),
+        cells_line=_cells_line(design),
+        kinds=_kinds(card),
+        margin=f" within {100 * card.experiment.config.decide.margin:.0f} points",
         scores=list(score_rows(card, link)),
         substitutions=_substitutions(card, link),
         rates=_rates(arms, link),
@@ -166,6 +171,35 @@ def _facts(card: Card, design: Design) -> dict[str, str]:
         f"lower bound is below {100 * decide.refuse_below:.0f} %"
     )
     return facts
+
+
+def _kinds(card: Card) -> list[tuple[str, str, list[tuple[str, str]]]]:
+    """Return the conditions by verdict, each with its difference, if there are too many sentences to read.
+
+    Returns:
+        Verdict, condition that all are compared with, and names with differences in points; empty: few comparisons, or
+        with several conditions.
+    """
+    seconds = {verdict.second for verdict in card.verdicts}
+    if len(card.verdicts) < MANY or len(seconds) > 1 or any(verdict.against for verdict in card.verdicts):
+        return []
+    found: dict[str, list[tuple[str, str]]] = {"lower": [], "higher": [], "as_good": [], "cannot_tell": []}
+    for verdict in card.verdicts:
+        value = verdict.difference[0]
+        found[verdict.kind].append((verdict.first, "?" if value is None else f"{100 * abs(value):.0f}"))
+    return [(kind, *seconds, names) for kind, names in found.items() if names]
+
+
+def _cells_line(design: Design) -> str:
+    """Return what "cell" and "unseen" mean here; empty where all cells are seen."""
+    unseen = sum(cell.unseen for cell in design.cells)
+    if not unseen:
+        return ""
+    of = " and ".join(name.replace("_", " ") for name in design.cells[0].levels)
+    return (
+        f"A cell is a combination of {of}. {unseen} of {len(design.cells)} are unseen, or held out: policies that "
+        "are to generalise were not trained in them."
+    )
 
 
 def _proofs(card: Card) -> tuple[list[str], list[tuple[str, str]]]:

@@ -118,7 +118,7 @@
     const drawn = Object.entries(episode.drawn).map(([name, value]) => `${name}: ${value}`).join(", ");
     if (drawn) body.append(made("p", "drawn " + drawn, "soft"));
     const links = made("p");
-    if (episode.page) links.append(linked("its page: film, actions, conditions", episode.page), " ");
+    if (episode.page) links.append(linked("why: film, actions, conditions", episode.page), " ");
     if (episode.film) links.append(linked("its film", "#film-" + episode.number));
     if (links.children.length) body.append(links);
     if (episode.bag) {

@@ -284,7 +284,7 @@ def _require_valid(policy: ChosenPolicy) -> None:
         return
     if policy.spec == "bc" and CHECKPOINT not in policy.options:
         raise ConfigError(
-            f"policy '{policy.name}' needs a checkpoint, e.g. the folder that roboxim train bc wrote: --checkpoint "
+            f"policy '{policy.name}' needs a checkpoint, e.g. the folder that 'roboxim train bc' wrote: --checkpoint "
             f"{policy.name}=PATH, or PolicySpec(spec='bc', options={{'checkpoint': PATH}})"
         )
     require_arguments(policy.spec, policy.make, policy.options)
