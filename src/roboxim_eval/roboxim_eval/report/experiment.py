@@ -187,7 +187,8 @@ def _kinds(card: Card) -> list[tuple[str, str, list[tuple[str, str]]]]:
     for verdict in card.verdicts:
         value = verdict.difference[0]
         found[verdict.kind].append((verdict.first, "?" if value is None else f"{100 * abs(value):.0f}"))
-    return [(kind, *seconds, names) for kind, names in found.items() if names]
+    (second,) = seconds
+    return [(kind, second, names) for kind, names in found.items() if names]
 
 
 def _cells_line(design: Design) -> str:
