@@ -101,6 +101,14 @@ def read_results(run: Path) -> list[EpisodeResult]:
     return [result for result in found.values() if result.played]
 
 
+def holds_bags(path: Path) -> bool:
+    """Return whether a path is a run, a folder of bags, or a bag."""
+    if path.is_file():
+        return path.suffix == ".mcap"
+    inside = path / "episodes" if (path / "episodes").is_dir() else path
+    return any(inside.glob("*.mcap")) or any(inside.glob("[!.]*/*.mcap"))
+
+
 def list_bags(path: Path | str) -> list[Path]:
     """Return the bags of a run's folder or of a folder of bags, sorted by name, without those set apart.
 

@@ -26,7 +26,7 @@ from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.export.episodes import bag_episode
 from roboxim_recorder.export.selection import Source
-from roboxim_recorder.run_bags import list_bags, run_bags
+from roboxim_recorder.run_bags import holds_bags, list_bags, run_bags
 from roboxim_runs.datasets.audit_truth import BagTruth, TruthPorts
 from roboxim_runs.events import (
     OnEvent,
@@ -171,14 +171,6 @@ def _ports(config: AuditConfig, stack: ExitStack) -> TruthPorts:
 
 
 # ------------------------------------------------------------------ episodes
-
-
-def holds_bags(path: Path) -> bool:
-    """Return whether a path is a run, a folder of bags, or a bag."""
-    if path.is_file():
-        return path.suffix == ".mcap"
-    inside = path / "episodes" if (path / "episodes").is_dir() else path
-    return any(inside.glob("*.mcap")) or any(inside.glob("[!.]*/*.mcap"))
 
 
 def _entries(path: Path, config: AuditConfig) -> tuple[int, Iterator[_Entry]]:

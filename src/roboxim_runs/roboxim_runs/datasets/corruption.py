@@ -26,11 +26,9 @@ from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import PLACES, bag_path
 from roboxim_recorder.edited import copy_edited
-from roboxim_recorder.export.episodes import bag_episode
-from roboxim_recorder.export.selection import Source
-from roboxim_recorder.run_bags import run_bags
-from roboxim_runs.datasets.audit import holds_bags
+from roboxim_recorder.run_bags import holds_bags, run_bags
 from roboxim_runs.datasets.simulated_faults import SIMULATED_FAULTS
+from roboxim_runs.datasets.viewing import episode_of_bag
 from roboxim_runs.episodes.reenactment import Recorded, Reenactor
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
@@ -207,7 +205,7 @@ class _Planting:
 
     def _edited(self, bags: dict[str, Path], out: Path) -> tuple[dict[str, str], list[str]]:
         fault = DATASET_FAULTS[self.fault]()
-        episodes = {name: _bag_episode(path) for name, path in bags.items()}
+        episodes = {name: episode_of_bag(path)[0] for name, path in bags.items()}
 
         def plant(name: str, rng: np.random.Generator) -> str:
             before, after = EditableEpisode.of(episodes[name]), EditableEpisode.of(episodes[name])
@@ -307,13 +305,6 @@ def _linked(source: str, target: str) -> None:
 
 
 # ------------------------------------------------------------------ edits of bags
-
-
-def _bag_episode(bag: Path) -> Episode:
-    reader = BagReader(bag)
-    source = Source(path=bag, info=reader.info, result=reader.result)
-    state = next(iter(reader.ticks(cameras=()))).state
-    return bag_episode(source, state.robot.joint_names)
 
 
 def _apply(bag: Path, out: Path, before: EditableEpisode, after: EditableEpisode) -> None:

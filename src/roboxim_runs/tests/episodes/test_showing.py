@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from roboxim_bringup.core_graph import CoreGraph
+from roboxim_cli.commands.data.dataset import command as dataset
 from roboxim_cli.commands.data.show import command
 from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeRunner, RunConfig
@@ -19,6 +20,7 @@ from roboxim_core.errors import ConfigError, SimError
 from roboxim_eval.film_options import FilmOptions
 from roboxim_policies.builtin import RandomPolicy, ZeroPolicy
 from roboxim_recorder.bag import BagReader
+from roboxim_runs.datasets.viewing import viewed_episode
 from roboxim_runs.episodes.facts import scene_hash
 from roboxim_runs.episodes.showing import expert_way, printed, shown_episode
 from roboxim_runs.evaluation.comparing import compare_evaluations
@@ -131,6 +133,19 @@ def test_films_of_named_scenes_are_shown(evaluated: Path) -> None:
     assert text.read_text().count('data-frames="3"') == 2
     with pytest.raises(ConfigError, match="no episode of scene 9 is recorded"):
         report_of(evaluated, replace(stored_record(evaluated), film=FilmOptions(only=("9",))))
+
+
+def test_bags_are_viewed_as_episodes_of_a_dataset(evaluated: Path, tmp_path: Path) -> None:
+    bag = find_episode(evaluated, 0).bag
+    for place in (bag, evaluated / "zero", next(bag.glob("*.mcap"))):
+        episode, names = viewed_episode(place)
+        assert (episode.length, len(names)) == (5, 7)
+    with pytest.raises(ConfigError, match="has 1 bags, so episodes 0 to 0; got 3"):
+        viewed_episode(evaluated / "zero", 3)
+    picture = tmp_path / "sheet.png"
+    done = CliRunner().invoke(dataset, ["view", str(bag), "--out", str(picture)])
+    assert done.exit_code == 0, done.output
+    assert picture.stat().st_size > 1000
 
 
 def test_the_experts_way_is_planned_in_the_same_scene(evaluated: Path, tmp_path: Path) -> None:

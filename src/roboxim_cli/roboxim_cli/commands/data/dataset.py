@@ -180,7 +180,7 @@ def split(source: Path, out: Path, into: str, apart: bool, overwrite: bool) -> N
 
 
 @command.command("view")
-@click.argument("dataset", type=_path)
+@click.argument("dataset", type=_path, metavar="DATASET|RUN|BAG")
 @click.option("--episode", type=click.IntRange(0), default=0, show_default=True, help="Number, through all splits.")
 @click.option("--frames", type=click.IntRange(1), default=12, show_default=True, help="Frames of each camera.")
 @click.option(
@@ -188,21 +188,25 @@ def split(source: Path, out: Path, into: str, apart: bool, overwrite: bool) -> N
     "[default: episode-<number>.html]",
 )  # fmt: skip
 def view(dataset: Path, episode: int, frames: int, out: Path | None) -> None:
-    """Write a page or a picture of an episode: its frames, and the course of its actions and observations."""
+    r"""Write a page or a picture of an episode: its frames, and the course of its actions and observations.
+
+    \b
+    roboxim dataset view runs/rlds --episode 3
+    roboxim dataset view runs/demos --episode 3            # bags, too; roboxim show also says why they ended so
+    """
     from roboxim_core.errors import ConfigError
-    from roboxim_datasets.formats import open_dataset
     from roboxim_datasets.view import contact_sheet, encoded, page
+    from roboxim_runs.datasets.viewing import viewed_episode
 
     file = out or Path(f"episode-{episode}.html")
     kinds = {".html": "", ".png": "PNG", ".jpg": "JPEG"}
     if file.suffix not in kinds:
         raise ConfigError(f"--out must end in {', '.join(kinds)}, got {file}")
-    opened = open_dataset(dataset)
-    found = opened.episode(episode)
+    found, names = viewed_episode(dataset, episode)
     if kinds[file.suffix]:
         write_whole(file, encoded(contact_sheet(found, frames), kinds[file.suffix]))
     else:
-        write_whole(file, page(found, opened.features.action, frames))
+        write_whole(file, page(found, names, frames))
     click.echo(f"{file}: {found.instruction} ({found.length} steps)")
 
 
