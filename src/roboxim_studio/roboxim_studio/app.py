@@ -10,39 +10,63 @@ from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.bench import Bench
+from roboxim_studio.editing.document import from_episode
 from roboxim_studio.episode.film import Film, read_film
 from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.opening import Kind, Opened
+from roboxim_studio.panels.compose import ComposePanel
+from roboxim_studio.panels.editor import EditorPanel
 from roboxim_studio.panels.episode import EpisodePanel
 from roboxim_studio.panels.files import FilesPanel
 from roboxim_studio.panels.what_if import WhatIfPanel
 from roboxim_studio.serving.access import Access
 from roboxim_studio.serving.site import Site
 
+EPISODE, SCENE = "Episode", "Scene"
+MODES = (EPISODE, SCENE)
+"""What the view shows: a scene being edited, or an episode."""
+
 
 class Studio:
-    """A running studio. A context manager; `serve` opens the address that `url` names."""
+    """A running studio. A context manager; `url` is the address to open."""
 
-    def __init__(self, *, port: int = 0, open_network: bool = False) -> None:
+    def __init__(self, *, port: int = 0, open_network: bool = False, folder: Path | None = None) -> None:
         """Start the server, without content.
 
         Args:
             port: Port to listen at; 0: any.
             open_network: Whether other machines may connect.
+            folder: Folder that scenes and teleoperated episodes are written to; none: the working directory.
 
         Raises:
             RoboximError: When the port is taken.
         """
         self.library = ModelLibrary()
         self.bench, self.lab = Bench(), Lab()
+        self._keys = Bench()  # a key must not wait for a simulation
+        self.folder = folder or Path.cwd()
+        """Folder that files are written to."""
         self.site = Site(Access(open_network=open_network), port, received=self._received)
-        self.site.viser.scene.set_up_direction("+z")
-        self.site.viser.initial_camera.position = (1.55, -0.9, 0.95)
-        self.site.viser.initial_camera.look_at = (0.45, 0.0, 0.1)
-        self.view = SceneView(self.site.viser, self.library)
+        server = self.site.viser
+        server.scene.set_up_direction("+z")
+        server.initial_camera.position = (1.55, -0.9, 0.95)
+        server.initial_camera.look_at = (0.45, 0.0, 0.1)
+        self.view = SceneView(server, self.library)
+        self._modes = server.gui.add_button_group("View", MODES)
+        self._modes.on_click(lambda event: self.show(str(event.target.value)))
+        self.mode = EPISODE
+        """What the view shows."""
         self.files = FilesPanel(self.site, self.open_bag)
         self.episode = EpisodePanel(self.site, self.view)
         self.what_if = WhatIfPanel(self.site, self.episode, self.bench, self.lab, self.library)
+        self.editor = EditorPanel(self.site, self.view, self.bench, self.lab, self.library, self.folder)
+        self.compose = ComposePanel(self.site, self.view, self.bench, self.lab, self.editor, self.watch)
+        self.compose.folder.order = self.editor.folder.order - 0.5  # above the scene that it draws
+        self.view.objects_clicked = self._clicked
+        with self.what_if.folder:
+            edit = server.gui.add_button("Edit this scene")
+        edit.on_click(lambda _: self.edit_episode())
+        self.show(EPISODE)
 
     @property
     def url(self) -> str:
@@ -60,8 +84,11 @@ class Studio:
     def close(self) -> None:
         """End everything."""
         self.episode.close()
+        self._keys.close()
         self.bench.close(self.lab.close)
         self.site.close()
+
+    # ---------------------------------------------------------------- opening
 
     def open(self, opened: Opened) -> None:
         """Show what was named on the command line; a mistake in it is shown in the page, and raised.
@@ -74,6 +101,8 @@ class Studio:
                 self.open_bag(opened.path)
             elif opened.kind == Kind.RUN and opened.path is not None:
                 self.files.open(opened.path, opened.bags)
+            else:
+                self.open_task(str(opened.path or ""))
         except RoboximError as error:
             self.site.tell(alert=str(error))
             raise
@@ -85,11 +114,60 @@ class Studio:
             RoboximError: When it is no whole bag, or its models are unknown.
         """
         film = read_film(path)
-        self.episode.open(film)
+        self.watch(film)
         return film
+
+    def watch(self, film: Film) -> None:
+        """Show an episode.
+
+        Raises:
+            RoboximError: When its models are unknown.
+        """
+        self.show(EPISODE)
+        self.episode.open(film)
+
+    def open_task(self, task: str = "") -> Any:
+        """Draw a task's first scene and edit it; returns the future draw.
+
+        Args:
+            task: Name in ``config/tasks``, or a file; empty: the default task.
+        """
+        self.show(SCENE)
+        return self.compose.open(task)
+
+    def edit_episode(self) -> None:
+        """Edit the scene of the episode that is shown."""
+        film = self.episode.film
+        if film is not None:
+            self.show(SCENE)
+            self.editor.open(from_episode(film.info.task, film.info.scene))
+
+    # ---------------------------------------------------------------- modes
+
+    def show(self, mode: str) -> None:
+        """Give the view to a mode's panels."""
+        before, self.mode = self.mode, mode
+        editing = mode == SCENE
+        self.editor.folder.visible = editing and self.editor.desk is not None
+        self.compose.folder.visible = editing
+        self.files.folder.visible = not editing and bool(self.files.entries)
+        self.episode.folder.visible = not editing and self.episode.film is not None
+        self.what_if.folder.visible = not editing and self.episode.film is not None
+        if editing:
+            self.episode.hide()
+            self.what_if.hide()
+            if before != mode:
+                self.editor.show()
+        elif before != mode:
+            self.editor.hide()
+            self.episode.show_again()
+
+    def _clicked(self, entity: str) -> None:
+        if self.mode == SCENE and self.editor.desk is not None:
+            self.editor.select(entity)
 
     def _received(self, page: int, message: Mapping[str, Any]) -> None:
         """Obey a page; called in the server's thread."""
         key = message.get("key")
-        if isinstance(key, str):
-            self.bench.do(lambda: self.episode.key(key))
+        if isinstance(key, str) and self.mode == EPISODE:
+            self._keys.do(lambda: self.episode.key(key))

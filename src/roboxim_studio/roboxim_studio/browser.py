@@ -116,14 +116,14 @@ class Browser:
             raise RoboximError(f"the page's script failed: {answer['exceptionDetails']}")
         return answer["result"].get("value")
 
-    def wait(self, script: str, seconds: float = WAIT_S) -> Any:
-        """Return the value of an expression as soon as it is true.
+    def wait(self, script: str, seconds: float = WAIT_S) -> None:
+        """Wait until an expression is true; one that raises is not yet.
 
         Raises:
             RoboximError: When it is not in time; with the page's text.
         """
-        return wait_for(
-            lambda: self.run(f"(() => {{ try {{ return {script} }} catch (e) {{ return null }} }})()"),
+        wait_for(
+            lambda: self.run(f"(() => {{ try {{ return !!({script}) }} catch (e) {{ return false }} }})()"),
             f"'{script}' in the page", seconds, self._describe,
         )  # fmt: skip
 

@@ -12,8 +12,8 @@ def run(tmp_path_factory):
     """A folder with one episode of the expert."""
     folder = tmp_path_factory.mktemp("studio") / "run"
     config = RunConfig(
-        run_seed=1, purpose="demo", task_config=task_text("pick_cube"), output_dir=str(folder), image_width=64,
-        image_height=64,
+        run_seed=1, purpose="demo", task_config=task_text("pick_cube"), output_dir=str(folder), image_width=128,
+        image_height=128,
     )  # fmt: skip
     with CoreGraph(folder) as graph:
         result = EpisodeRunner(graph.ports, config, library=graph.sim.library).run_index(0)

@@ -34,6 +34,7 @@ from roboxim_tasks.checks import (
 )
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
+from roboxim_tasks.fixed_scene import FIXED, fixed_task_config
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.task_config import ObjectConfig, TaskConfig
 
@@ -338,7 +339,9 @@ def _models(cell: Any, names: Mapping[str, str]) -> Any:
 
 
 def any_task_config(data: Any, *, source: str, library: ModelLibrary | None = None) -> TaskConfig | TaskMix:
-    """Build a task configuration, or a mix if the data has ``cells``; see `task_config` and `task_mix`."""
+    """Build a task, or a mix if the data has ``cells``, or a task with a given scene if it has ``fixed``."""
+    if isinstance(data, Mapping) and FIXED in data:
+        return fixed_task_config(data, source=source, library=library or ModelLibrary())
     build = task_mix if isinstance(data, Mapping) and "cells" in data else task_config
     return build(data, source=source, library=library)
 

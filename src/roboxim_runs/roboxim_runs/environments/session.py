@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_core.actions import ANY_RATE, ActionSemantics, ControlMode, GripperRule
-from roboxim_core.config import load_config, named_config
 from roboxim_core.episode import EpisodeResult, EpisodeRunner, RunConfig
 from roboxim_core.episode.runner import Play
 from roboxim_core.errors import ConfigError, ErrorCode, PolicyError, SimError, TaskError, one_of
@@ -22,12 +21,12 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import ActionChunk, CameraRequirement, EpisodeStart, Observation, ObservationWindow
 from roboxim_core.rates import ticks
 from roboxim_core.seeds import SeedPath
-from roboxim_core.specs import SceneSpec
 from roboxim_core.vision.cameras import load_camera
 from roboxim_policies import BasePolicy
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_sim.rendering import RENDERERS
 from roboxim_tasks.config import TaskMix, parse_task_config
+from roboxim_tasks.fixed_scene import base_scene
 from roboxim_tasks.task_config import TaskConfig
 
 DRAWS = 20
@@ -119,7 +118,7 @@ class EpisodeSession:
         self._text = task_text(config.task)
         parsed = parse_task_config(self._text)
         self._cells: tuple[TaskConfig, ...] = parsed.cells if isinstance(parsed, TaskMix) else (parsed,)
-        self._scenes = [load_config(named_config("scenes", name), SceneSpec) for name in {c.scene for c in self._cells}]
+        self._scenes = [base_scene(cell) for cell in self._cells]
         self.cameras = self._camera_sizes()
         """Camera to (width, height) [px]."""
         robots = {scene.robot.model for scene in self._scenes}
@@ -253,7 +252,7 @@ class EpisodeSession:
         names = set()
         for cell in self._cells:
             reset: Any = cell.reset.get("cameras")
-            scene = load_config(named_config("scenes", cell.scene), SceneSpec)
+            scene = base_scene(cell)
             views = {camera.name: [camera] for camera in scene.cameras}
             if reset:
                 files = {name: reset.views[name].values if name in reset.views else (name,) for name in reset.names}

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboxim_core.config import load_config, named_config
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
 from roboxim_core.specs import SceneSpec
 from roboxim_runs.episodes.run import EpisodesJob
@@ -27,7 +26,9 @@ def cells_of(task_config: str) -> Sequence[TaskConfig]:
 
 
 def _scene(cell: TaskConfig) -> SceneSpec:
-    return load_config(named_config("scenes", cell.scene), SceneSpec)
+    from roboxim_tasks.fixed_scene import base_scene
+
+    return base_scene(cell)
 
 
 def require_cameras(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) -> None:

@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from roboxim_core.episode import ActorPort, Draw
 from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import SceneSpec
+from roboxim_core.state import StateRecord
 from roboxim_studio.acting.what_if import EXPERT
+from roboxim_studio.episode.film import Picture
 
 if TYPE_CHECKING:
     from roboxim_bringup.core_graph import CoreGraph
+    from roboxim_sim.rendering.states import StateRenderer
 
 
 class Lab:
@@ -23,6 +27,7 @@ class Lab:
         self._graph: CoreGraph | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="roboxim-studio-", ignore_cleanup_errors=True)
         self._actors: dict[str, ActorPort] = {}
+        self._states: StateRenderer | None = None
 
     @property
     def graph(self) -> CoreGraph:
@@ -60,8 +65,24 @@ class Lab:
         """
         return self.graph.tasks.draw(seed, task_config)
 
+    def pictures(self, scene: SceneSpec, state: StateRecord) -> dict[str, Picture]:
+        """Return what the cameras of a scene see of a state, without noise and lens.
+
+        Raises:
+            RoboximError: When it cannot be drawn.
+        """
+        if self._states is None:
+            from roboxim_sim.rendering import make_renderer
+            from roboxim_sim.rendering.states import StateRenderer
+
+            self._states = StateRenderer(make_renderer(self._renderer), self.graph.sim.library)
+        return {name: seen.rgb for name, seen in self._states.draw(scene, state).items()}
+
     def close(self) -> None:
         """Free everything."""
+        if self._states is not None:
+            self._states.renderer.close()
+            self._states = None
         if self._graph is not None:
             self._graph.__exit__()
             self._graph = None

@@ -116,6 +116,11 @@ class SceneView:
                     self._cameras[name][1].image = image
             self._show_contacts(state)
 
+    def camera_pose(self, scene: SceneSpec, state: StateRecord, camera: CameraSpec) -> Pose:
+        """Return the pose of a camera's optical frame in the world."""
+        poses = ScenePoses(scene, self._library, self._arms[scene.robot.model])
+        return poses.camera_poses(state.robot, (camera,))[camera.name]
+
     def place(self, key: str, pose: Pose) -> None:
         """Move one body, e.g. while it is dragged."""
         if key in self._bodies:

@@ -35,6 +35,7 @@ class EpisodePanel:
         self._lock = threading.RLock()
         self._playing = threading.Event()
         self._closed = threading.Event()
+        self._hidden = False
         self.on_shown: list[Callable[[Film, int], None]] = []
         """Called with the episode and the tick that is shown now."""
         self.on_opened: list[Callable[[Film], None]] = []
@@ -46,7 +47,7 @@ class EpisodePanel:
         self.tick = 0
         """The tick that is shown."""
         self._shown_pictures: tuple[int, frozenset[str]] = (-1, frozenset())
-        self.folder = self._gui.add_folder("Episode")
+        self.folder = self._gui.add_folder("Episode", visible=False)
         self._fresh: list[Any] = []
         threading.Thread(target=self._play, name="player", daemon=True).start()
 
@@ -61,6 +62,8 @@ class EpisodePanel:
         judgement = judge(film.info.task, film.states)
         with self._lock:
             self._playing.clear()
+            self._hidden = False
+            self.folder.visible = True
             self._view.load(film.info.scene)
             self.film, self.judgement, self.tick = film, judgement, 0
             for handle in self._fresh:
@@ -137,7 +140,7 @@ class EpisodePanel:
         """Show a tick; one beyond the ends is the nearest."""
         with self._lock:
             film, judgement = self.film, self.judgement
-            if film is None or judgement is None:
+            if film is None or judgement is None or self._hidden:
                 return
             self.tick = seq = min(max(seq, 0), len(film) - 1)
             state, step, verdict = film.states[seq], film.steps[seq], judgement.verdicts[seq]
@@ -201,6 +204,16 @@ class EpisodePanel:
     def hide(self) -> None:
         """Stop playing, because another panel uses the view."""
         self._playing.clear()
+        self._hidden = True
+
+    def show_again(self) -> None:
+        """Take the view again."""
+        with self._lock:
+            self._hidden = False
+            if self.film is not None:
+                self._view.load(self.film.info.scene)
+                self.show(self.tick)
+                self._site.tell(hint=HINT, alert="")
 
     # ---------------------------------------------------------------- keys and buttons
 

@@ -80,6 +80,11 @@ class WhatIfPanel:
         self._tell(f"beside: {film.title}\nit ends with {ending(film)} after {film.result.steps} actions; {where}")
         self._shown(first, self._episode.tick)
 
+    def hide(self) -> None:
+        """Take the other episode out of the view."""
+        self._beside.clear()
+        self.other = None
+
     def _ask(self, film: Film, question: Question) -> Answer | None:
         try:
             actor = None if question.actor == RECORDED else self._lab.actor(question.actor)

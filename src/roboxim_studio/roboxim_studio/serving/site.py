@@ -74,6 +74,7 @@ class Site:
         for message in (viser_messages.ShareUrlRequest, viser_messages.ShareUrlDisconnect):
             handlers.pop(message, None)
         self.viser.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        self.viser.gui.main_panel.dock_right()
         if port and self.port != port:
             self.close()
             raise ConfigError(f"port {port} is taken; choose another with --port, or 0 for any free one")

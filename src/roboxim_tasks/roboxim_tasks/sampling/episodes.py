@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -15,10 +16,11 @@ from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_tasks.components import COMPONENTS, ResetContext
 from roboxim_tasks.config import TaskMix
 from roboxim_tasks.demonstration.solvable import CONSTRAINT, Solvability
-from roboxim_tasks.files import named
+from roboxim_tasks.fixed_scene import FixedTaskConfig, base_scene
 from roboxim_tasks.roles import Wording, description
 from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.sampling.rejection import RejectedError
+from roboxim_tasks.sampling.scene_check import Finding, quick_findings, slow_findings
 from roboxim_tasks.sampling.visible import Visibility
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.task_config import TaskConfig
@@ -66,6 +68,8 @@ class EpisodeGenerator:
         """
         cell, ordinal = config.at(seed.index)
         drawn = config.drawn(seed.index)
+        if isinstance(cell, FixedTaskConfig):
+            return replace(cell.task(seed.purpose, self._library), drawn=drawn)
         skill = SKILLS[cell.skill]
         context = GenerationContext(
             seed=seed.of_task(drawn),
@@ -87,8 +91,10 @@ class EpisodeGenerator:
         """
         cell, ordinal = config.at(seed.index)
         task = self.task(seed, config)
+        if isinstance(cell, FixedTaskConfig):
+            return task
         context = self._context(seed.of_task(task.drawn), cell, task, ordinal)
-        self._begin(context, named("scenes", cell.scene, SceneSpec))
+        self._begin(context, base_scene(cell))
         return replace(task, drawn=task.drawn | context.drawn)
 
     def reset(self, seed: SeedPath, config: TaskConfig, task: TaskSpec, ordinal: int | None = None) -> SceneSpec:
@@ -101,7 +107,9 @@ class EpisodeGenerator:
             TaskError: With code ``RESET_INFEASIBLE``, naming the constraint that refused most draws.
             ConfigError: When the configuration names what does not exist.
         """
-        base = named("scenes", config.scene, SceneSpec)
+        if isinstance(config, FixedTaskConfig):
+            return self._given(seed, config, task, ordinal)
+        base = base_scene(config)
         wording = Wording.of_task(task, SKILLS[config.skill].roles, self._library)
         _check_unambiguous(base, config, task, wording)
         context = self._context(seed, config, task, ordinal)
@@ -120,13 +128,43 @@ class EpisodeGenerator:
         (worst, _), *_ = context.rejections.most_common(1)
         raise _infeasible(context, worst, context.draws)
 
+    def context(self, config: FixedTaskConfig, seed: SeedPath) -> ResetContext:
+        """Return the reset of a task with a given scene, to check the scene with."""
+        return self._context(seed, config, self.task(seed, config), None)
+
+    def findings(self, config: FixedTaskConfig, seed: SeedPath, *, slow: bool = True) -> Iterator[Finding]:
+        """Yield every constraint that a given scene violates; the costly checks last, and only if no other does.
+
+        Args:
+            config: The task with its scene.
+            seed: Seed path of the episode, which the planner's detours depend on.
+            slow: Whether to look through the cameras and to plan.
+        """
+        context, quick = self.context(config, seed), True
+        for finding in quick_findings(config.fixed.scene, context):
+            quick = False
+            yield finding
+        if slow and quick:
+            yield from slow_findings(config.fixed.scene, context, self._visibility, self._solvability)
+
+    def _given(self, seed: SeedPath, config: FixedTaskConfig, task: TaskSpec, ordinal: int | None) -> SceneSpec:
+        """Return a given scene, unless it violates a constraint."""
+        self.last_reset = self._context(seed, config, task, ordinal)
+        for finding in self.findings(config, seed):
+            raise TaskError(
+                f"the given scene of '{task.instruction}' breaks constraint {finding.constraint}: {finding.message}; "
+                "open it with 'roboxim studio' to see where",
+                ErrorCode.RESET_INFEASIBLE,
+            )
+        return config.fixed.scene
+
     def _context(self, seed: SeedPath, config: TaskConfig, task: TaskSpec, ordinal: int | None) -> ResetContext:
         context = ResetContext(
             seed=seed,
             config=config,
             task=task,
             library=self._library,
-            arm=self._arm(named("scenes", config.scene, SceneSpec).robot.model),
+            arm=self._arm(base_scene(config).robot.model),
             ordinal=ordinal,
             way_blocked=partial(self._solvability.way_blocked, task) if self._solvability else None,
         )

@@ -1,0 +1,183 @@
+"""The panel that draws tasks, lets the expert solve them, and counts what refuses their draws."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from roboxim_core.config_folders import config_names
+from roboxim_core.episode import Draw
+from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_core.seeds import PURPOSES, SeedPath
+from roboxim_runs.episodes.task_choice import task_text
+from roboxim_studio.acting.lab import Lab
+from roboxim_studio.acting.take import take
+from roboxim_studio.acting.what_if import EXPERT
+from roboxim_studio.bench import Bench
+from roboxim_studio.editing.document import as_yaml, from_draw
+from roboxim_studio.episode.film import Film, ending
+from roboxim_studio.look.scene_view import SceneView
+from roboxim_studio.panels import markup
+from roboxim_studio.panels.editor import EditorPanel
+from roboxim_studio.serving.site import Site
+
+COUNTED = 20
+"""Scenes that are drawn to count refusals."""
+
+
+class ComposePanel:
+    """Draws episodes of a task as ``generate`` would."""
+
+    def __init__(
+        self, site: Site, view: SceneView, bench: Bench, lab: Lab, editor: EditorPanel, watch: Callable[[Film], None]
+    ) -> None:
+        """Build the panel in the current container.
+
+        Args:
+            site: The page.
+            view: The three-dimensional view.
+            bench: Where episodes run.
+            lab: What they run with.
+            editor: Where drawn scenes are edited.
+            watch: Called with an episode that the expert has played.
+        """
+        self._site, self._gui, self._view = site, site.viser.gui, view
+        self._bench, self._lab, self._editor, self._watch = bench, lab, editor, watch
+        self._cancel = threading.Event()
+        self.task = ""
+        """Name or file of the task."""
+        self.drawn: Draw | None = None
+        """The newest draw."""
+        gui = self._gui
+        self.folder = gui.add_folder("Task", visible=False)
+        with self.folder:
+            self._task: Any = gui.add_dropdown("Draw from", tuple(config_names("tasks")), initial_value="pick_cube")
+            self._purpose = gui.add_dropdown("Purpose", PURPOSES, initial_value="demo")
+            self._seed = gui.add_number("Seed", initial_value=0, min=0, step=1)
+            self._index: Any = gui.add_number("Index", initial_value=0, min=0, step=1)
+            draw = gui.add_button("Draw")
+            another = gui.add_button("Draw another")
+            solve = gui.add_button("Solve with the expert")
+            stop = gui.add_button("Stop")
+            count = gui.add_button("How often is it refused?")
+            self._told = gui.add_html("")
+        draw.on_click(lambda _: self.draw())
+        another.on_click(lambda _: self.draw(another=True))
+        solve.on_click(lambda _: self.solve())
+        stop.on_click(lambda _: self._cancel.set())
+        count.on_click(lambda _: self.count())
+
+    def open(self, task: str = "") -> Any:
+        """Show a task and its first scene; returns the future draw.
+
+        Args:
+            task: Name in ``config/tasks``, or a file; empty: the default task.
+        """
+        self.folder.visible = True
+        if task and task not in self._task.options:
+            self._task.options = (*self._task.options, task)
+        if task:
+            self._task.value = task
+        return self.draw()
+
+    @property
+    def seed(self) -> SeedPath:
+        """Seed path of the chosen episode."""
+        return SeedPath(run_seed=int(self._seed.value), purpose=str(self._purpose.value), index=int(self._index.value))
+
+    def draw(self, *, another: bool = False) -> Any:
+        """Draw the episode of the chosen seed and index; ``another``: of the next index. Returns the future draw."""
+        if another:
+            self._index.value = int(self._index.value) + 1
+        task, seed = str(self._task.value), self.seed
+        self._tell(f"drawing index {seed.index} of {task} ...")
+        return self._bench.do(lambda: self._draw(task, seed))
+
+    def solve(self) -> Any:
+        """Let the expert play the edited scene, or the drawn one; returns the future episode."""
+        desk = self._editor.desk
+        if desk is None:
+            return None
+        text, seed = as_yaml(desk.document), self.seed
+        self._cancel.clear()
+        self._tell("planning ...")
+        return self._bench.do(lambda: self._solve(text, seed))
+
+    def count(self) -> Any:
+        """Count what refuses draws of the chosen task; returns the future counts by constraint."""
+        task, seed = str(self._task.value), self.seed
+        self._cancel.clear()
+        return self._bench.do(lambda: self._count(task, seed))
+
+    def _draw(self, task: str, seed: SeedPath) -> Draw | None:
+        try:
+            self.drawn = self._lab.draw(task_text(task), seed)
+        except RoboximError as error:
+            self._tell(str(error), alert=True)
+            return None
+        reset = self._lab.graph.tasks.generator.last_reset
+        refused = dict(reset.rejections) if reset else {}
+        self._tell(
+            f"{self.drawn.task.instruction}\nindex {seed.index}, "
+            f"{sum(refused.values())} draws refused{': ' + _listed(refused) if refused else ''}"
+        )
+        self.task = task
+        self._editor.open(from_draw(self.drawn))
+        return self.drawn
+
+    def _solve(self, text: str, seed: SeedPath) -> Film | None:
+        self._editor.hide()
+        try:
+            draw = self._lab.draw(text, seed)
+            self._view.load(draw.scene)
+
+            def show(state: Any, step: Any) -> None:
+                self._view.show(state, {n: seen.rgb for n, seen in self._lab.graph.sim.images.items()})
+                if state.seq % 5 == 0:
+                    self._tell(f"the expert acts: tick {state.seq}, {step.verdict.reason or 'solved'}")
+
+            film = take(
+                self._lab.graph, draw, self._lab.actor(EXPERT), seed, on_tick=show,
+                cancelled=lambda: self._cancel.is_set() or self._bench.stopping.is_set(),
+            )  # fmt: skip
+        except RoboximError as error:
+            self._tell(str(error), alert=True)
+            self._editor.show()
+            return None
+        self._tell(f"the expert: {ending(film)} after {film.result.steps} actions")
+        self._watch(film)
+        return film
+
+    def _count(self, task: str, seed: SeedPath) -> Counter[str]:
+        counts: Counter[str] = Counter()
+        draws = failed = 0
+        text = task_text(task)
+        for done, index in enumerate(range(COUNTED), start=1):
+            if self._cancel.is_set() or self._bench.stopping.is_set():
+                break
+            try:
+                self._lab.draw(text, SeedPath(run_seed=seed.run_seed, purpose=seed.purpose, index=index))
+            except ConfigError as error:
+                self._tell(str(error), alert=True)
+                return counts
+            except RoboximError:
+                failed += 1
+            reset = self._lab.graph.tasks.generator.last_reset
+            if reset is not None:
+                counts.update(reset.rejections)
+                draws += reset.draws
+            refused = sum(counts.values())
+            share = f"{100 * refused / draws:.0f} % of {draws} draws" if draws else "no draw"
+            self._tell(
+                f"{done} of {COUNTED} scenes: {share} refused, {failed} without a scene\n{_listed(counts) or 'nothing'}"
+            )
+        return counts
+
+    def _tell(self, text: str, *, alert: bool = False) -> None:
+        self._told.content = markup.paragraph(text, "composed", alert=alert)
+
+
+def _listed(counts: dict[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in Counter(counts).most_common())

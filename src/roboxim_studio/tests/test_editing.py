@@ -1,0 +1,171 @@
+from dataclasses import replace
+
+import pytest
+
+from roboxim_core.config import digest
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Pose
+from roboxim_core.seeds import SeedPath
+from roboxim_studio.browser import wait_for
+from roboxim_studio.editing import document as edits
+from roboxim_studio.episode.film import read_film
+from roboxim_tasks.config import parse_task_config
+
+LIBRARY = ModelLibrary()
+
+
+@pytest.fixture
+def document(bag):
+    film = read_film(bag)
+    return edits.from_episode(film.info.task, film.info.scene)
+
+
+@pytest.fixture
+def editor(studio, document):
+    studio.show("Scene")
+    studio.editor.open(document)
+    return studio.editor
+
+
+def test_saved_yaml_gives_the_same_scene_hash_in_generation_and_evaluation(studio, editor, tmp_path):
+    studio.editor._folder = tmp_path
+    desk = editor.desk
+    editor.edit(lambda d: edits.added(d, "apple", LIBRARY, (0.42, 0.2)))
+    editor.edit(lambda d: edits.moved(d, "distractor_1", Pose(position=(0.3512345678, -0.28, 0.0357))))
+    editor.edit(lambda d: edits.modified(d, "target", "color", "blue", LIBRARY))
+    editor.edit(lambda d: edits.with_instruction(d, "Pick up the blue cube"))
+    look = desk.scene.look
+    sun = replace(look.lights[0], intensity=1.1)
+    editor.edit(lambda d: edits.with_light(d, 0, sun))
+    assert desk.refresh().result(timeout=120).valid, desk.checks.text
+    file = editor.save("my_scene")
+    assert file.parent == tmp_path
+    wanted = edits.scene_hash(desk.document)
+    assert wanted in editor._saved.content
+    text = file.read_text()
+    assert digest(parse_task_config(text).fixed.scene) == wanted
+    for purpose in ("demo", "eval"):
+        seed = SeedPath(run_seed=5, purpose=purpose, index=2)
+        draw = studio.bench.do(lambda seed=seed: studio.lab.draw(text, seed)).result(timeout=120)
+        assert digest(draw.scene) == wanted
+        assert draw.task.objects["target"].modifiers["color"] == "blue"
+
+
+@pytest.mark.parametrize("name", ["../evil", "a/b", "", "x\0"])
+def test_files_stay_in_the_folder(editor, name, tmp_path):
+    editor._folder = tmp_path / "inside"
+    editor._folder.mkdir()
+    assert editor.save(name) is None
+    assert not list(tmp_path.glob("**/*.yaml"))
+    assert "is no file name" in editor._saved.content
+
+
+def test_an_invalid_pose_names_its_constraint_where_it_is(editor):
+    x, y, z = editor.desk.scene.entity("target").pose.position
+    editor.edit(lambda d: edits.added(d, "apple", LIBRARY, (x, y + 0.01)))
+    checks = editor.desk.refresh().result(timeout=120)
+    assert [finding.constraint for finding in checks.findings] == ["distractor_1_overlaps"]
+    assert "distractor_1_overlaps" in editor._findings.content
+    assert [label.text for label in editor._labels] == ["distractor_1_overlaps"]
+    editor.desk.undo()
+    assert editor.desk.refresh().result(timeout=120).valid
+    assert not editor._labels
+
+
+def test_undo_and_redo_walk_through_every_edit(document):
+    history = edits.History(document)
+    versions = [document]
+    for number in range(5):
+        history.change(edits.moved(history.now, "target", Pose(position=(0.4 + 0.01 * number, 0.0, 0.02))))
+        versions.append(history.now)
+    assert not history.change(history.now)
+    for version in reversed(versions[:-1]):
+        assert history.undo()
+        assert history.now == version
+    assert not history.undo()
+    for version in versions[1:]:
+        assert history.redo()
+        assert history.now == version
+    history.undo()
+    history.change(edits.with_instruction(history.now, "Lift it"))
+    assert not history.redo()
+
+
+def test_the_target_cannot_be_deleted_but_its_role_can_be_given_away(document):
+    with pytest.raises(ConfigError, match="is the task's target"):
+        edits.removed(document, "target")
+    with_apple = edits.added(document, "apple", LIBRARY)
+    given = edits.with_role(with_apple, "target", "distractor_1")
+    assert given.fixed.roles == {"target": "distractor_1", "distractor_1": "target"}
+    assert "target" not in edits.removed(given, "target").fixed.roles.values()
+
+
+def test_a_scaled_object_keeps_resting_on_the_table(document):
+    big = edits.modified(document, "target", "scale", 1.2, LIBRARY)
+    entity = big.fixed.scene.entity("target")
+    assert entity.pose.position[2] == pytest.approx(LIBRARY.entity_model(entity).rest_height)
+    with pytest.raises(ConfigError, match="color"):
+        edits.modified(document, "target", "color", "greenish", LIBRARY)
+
+
+def test_a_task_is_drawn_edited_and_solved_by_the_expert(studio):
+    draw = studio.open_task("pick_cube").result(timeout=120)
+    assert studio.editor.desk.scene == draw.scene
+    another = studio.bench.do(lambda: None)
+    another.result(timeout=120)
+    second = studio.compose.draw(another=True).result(timeout=120)
+    assert second.scene != draw.scene
+    film = studio.compose.solve().result(timeout=300)
+    assert film.result.outcome == "success"
+    assert film.info.scene == second.scene
+    assert studio.mode == "Episode"
+    studio.edit_episode()
+    assert studio.editor.desk.scene == second.scene
+
+
+def test_dragging_the_gizmo_in_the_page_moves_the_simulated_object(studio, editor, chromium):
+    chromium.resize(1400, 800)
+    chromium.open(studio.url)
+    chromium.wait("document.documentElement.dataset.studioConnected === 'true'")
+    chromium.wait("document.querySelector('#findings')")
+    pose = editor.desk.scene.entity("target").pose
+    editor.select("target")
+    client = next(iter(studio.site.viser.get_clients().values()))
+    wait_for(lambda: client.camera.image_width < 1200, "the panel at the side of the view", 60)
+    pause = "new Promise(done => setTimeout(done, {}))"
+    for _ in range(8):  # until the gizmo has been drawn
+        chromium.run(pause.format(1500))
+        start, end = (on_screen(client, pose.apply((along, 0.0, 0.0))) for along in (0.07, 0.17))
+        chromium.mouse("mouseMoved", *start)
+        chromium.run(pause.format(300))
+        chromium.mouse("mousePressed", *start)
+        for step in range(1, 9):
+            chromium.mouse("mouseMoved", *(a + (b - a) * step / 8 for a, b in zip(start, end, strict=True)))
+            chromium.run(pause.format(50))
+        chromium.mouse("mouseReleased", *end)
+        chromium.run(pause.format(1000))
+        if editor.desk.scene.entity("target").pose.position != pose.position:
+            break
+    after = editor.desk.scene.entity("target").pose.position
+    x, y, z = pose.inverse().apply(after)
+    assert x > 0.02
+    assert (y, z) == pytest.approx((0.0, 0.0), abs=1e-5)
+    graph = studio.bench.do(lambda: studio.lab.graph).result()
+    state = studio.bench.do(lambda: graph.sim.world.load(editor.desk.scene)).result(timeout=60)
+    assert state.entity("target").pose.position == pytest.approx(after, abs=1e-3)
+
+
+def on_screen(client, point):
+    """Return where in the page a point of the world is drawn [px]."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    camera = client.camera
+    w, x, y, z = camera.wxyz
+    seen = Rotation.from_quat((x, y, z, w)).inv().apply(np.array(point) - camera.position)
+    focal = camera.image_height / 2 / np.tan(camera.fov / 2)
+    return (
+        float(camera.image_width / 2 + focal * seen[0] / seen[2]),
+        float(camera.image_height / 2 + focal * seen[1] / seen[2]),
+    )
