@@ -15,6 +15,7 @@ from roboxim_studio.episode.film import Film, read_film
 from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.opening import Kind, Opened
 from roboxim_studio.panels.compose import ComposePanel
+from roboxim_studio.panels.drive import FOLDER, DrivePanel
 from roboxim_studio.panels.editor import EditorPanel
 from roboxim_studio.panels.episode import EpisodePanel
 from roboxim_studio.panels.files import FilesPanel
@@ -22,9 +23,9 @@ from roboxim_studio.panels.what_if import WhatIfPanel
 from roboxim_studio.serving.access import Access
 from roboxim_studio.serving.site import Site
 
-EPISODE, SCENE = "Episode", "Scene"
-MODES = (EPISODE, SCENE)
-"""What the view shows: a scene being edited, or an episode."""
+EPISODE, SCENE, DRIVE = "Episode", "Scene", "Drive"
+MODES = (EPISODE, SCENE, DRIVE)
+"""What the view shows: an episode, a scene being edited, or an episode that a person drives."""
 
 
 class Studio:
@@ -61,7 +62,9 @@ class Studio:
         self.what_if = WhatIfPanel(self.site, self.episode, self.bench, self.lab, self.library)
         self.editor = EditorPanel(self.site, self.view, self.bench, self.lab, self.library, self.folder)
         self.compose = ComposePanel(self.site, self.view, self.bench, self.lab, self.editor, self.watch)
-        self.compose.folder.order = self.editor.folder.order - 0.5  # above the scene that it draws
+        self.drive = DrivePanel(
+            self.site, self.view, self.bench, self.lab, self.editor, self.compose, self.folder / FOLDER, self.watch
+        )
         self.view.objects_clicked = self._clicked
         with self.what_if.folder:
             edit = server.gui.add_button("Edit this scene")
@@ -84,9 +87,15 @@ class Studio:
     def close(self) -> None:
         """End everything."""
         self.episode.close()
+        self.drive.close()
         self._keys.close()
-        self.bench.close(self.lab.close)
+        self.bench.close(self._last)
         self.site.close()
+
+    def _last(self) -> None:
+        """Set a running episode apart, then free the simulator."""
+        self.drive.leave()
+        self.lab.close()
 
     # ---------------------------------------------------------------- opening
 
@@ -149,17 +158,25 @@ class Studio:
         before, self.mode = self.mode, mode
         editing = mode == SCENE
         self.editor.folder.visible = editing and self.editor.desk is not None
-        self.compose.folder.visible = editing
-        self.files.folder.visible = not editing and bool(self.files.entries)
-        self.episode.folder.visible = not editing and self.episode.film is not None
-        self.what_if.folder.visible = not editing and self.episode.film is not None
-        if editing:
+        self.compose.folder.visible = editing or mode == DRIVE
+        self.drive.folder.visible = mode == DRIVE
+        first = self.drive.folder if mode == DRIVE else self.editor.folder
+        self.compose.folder.order = first.order + (0.5 if mode == DRIVE else -0.5)
+        self.files.folder.visible = mode == EPISODE and bool(self.files.entries)
+        watching = mode == EPISODE and self.episode.film is not None
+        self.episode.folder.visible = self.what_if.folder.visible = watching
+        if before == mode:
+            return
+        if before == DRIVE:
+            self.bench.do(self.drive.leave)
+        elif before == SCENE:
+            self.editor.hide()
+        else:
             self.episode.hide()
             self.what_if.hide()
-            if before != mode:
-                self.editor.show()
-        elif before != mode:
-            self.editor.hide()
+        if mode == SCENE:
+            self.editor.show()
+        elif mode == EPISODE:
             self.episode.show_again()
 
     def _clicked(self, entity: str) -> None:
@@ -168,6 +185,10 @@ class Studio:
 
     def _received(self, page: int, message: Mapping[str, Any]) -> None:
         """Obey a page; called in the server's thread."""
+        self.drive.heard(page, message)
         key = message.get("key")
-        if isinstance(key, str) and self.mode == EPISODE:
-            self._keys.do(lambda: self.episode.key(key))
+        if isinstance(key, str):
+            if self.mode == EPISODE:
+                self._keys.do(lambda: self.episode.key(key))
+            elif self.mode == DRIVE:
+                self._keys.do(lambda: self.drive.key(key))

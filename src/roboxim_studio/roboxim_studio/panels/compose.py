@@ -83,6 +83,11 @@ class ComposePanel:
         return self.draw()
 
     @property
+    def chosen(self) -> str:
+        """Name or file of the chosen task."""
+        return str(self._task.value)
+
+    @property
     def seed(self) -> SeedPath:
         """Seed path of the chosen episode."""
         return SeedPath(run_seed=int(self._seed.value), purpose=str(self._purpose.value), index=int(self._index.value))

@@ -89,6 +89,7 @@
     if (held.delete(event.code)) { event.stopImmediatePropagation(); report(); show(); }
   }, true);
 
+  window.addEventListener("resize", show);
   window.addEventListener("blur", release);
   document.addEventListener("visibilitychange", () => { if (document.hidden) release(); });
   setInterval(() => { if (state.driving) report(); }, 50);

@@ -1,0 +1,303 @@
+"""The panel in which a person drives: keys, gamepad or gizmo; ticks; keeping or throwing away."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from roboxim_core.episode import EpisodeStep
+from roboxim_core.errors import RoboximError
+from roboxim_core.poses import Pose
+from roboxim_core.state import StateRecord
+from roboxim_runs.episodes.task_choice import task_text
+from roboxim_studio.acting.drive import Drive, next_index
+from roboxim_studio.acting.lab import Lab
+from roboxim_studio.acting.steering import (
+    GRIPPER,
+    GRIPPER_BUTTON,
+    HELP,
+    KEEP,
+    KEEP_BUTTON,
+    THROW,
+    THROW_BUTTON,
+    Speeds,
+    Steering,
+    action_of,
+    moves,
+)
+from roboxim_studio.bench import Bench
+from roboxim_studio.editing.document import as_yaml
+from roboxim_studio.episode.film import Film, ending
+from roboxim_studio.look.scene_view import SceneView, wxyz
+from roboxim_studio.panels import markup
+from roboxim_studio.panels.compose import ComposePanel
+from roboxim_studio.panels.editor import EditorPanel
+from roboxim_studio.serving.site import Site
+
+FOLDER = "teleoperation"
+"""Folder below the studio's that bags are written to, unless the command line names another."""
+SILENT_S = 0.5
+"""Time without a word from a page after which its keys count as released [s]."""
+DRAWN, EDITED = "the task's next scene", "the edited scene"
+
+
+class DrivePanel:
+    """Drives one episode at a time. Keys of several pages add up."""
+
+    def __init__(
+        self, site: Site, view: SceneView, bench: Bench, lab: Lab, editor: EditorPanel, compose: ComposePanel,
+        folder: Path, watch: Callable[[Film], None],
+    ) -> None:  # fmt: skip
+        """Build the panel in the current container.
+
+        Args:
+            site: The page.
+            view: The three-dimensional view.
+            bench: Where the simulator runs.
+            lab: What it runs with.
+            editor: Gives the edited scene.
+            compose: Gives the task, the seed and the index.
+            folder: Folder of the bags.
+            watch: Called with an episode that was kept.
+        """
+        self._site, self._gui, self._view = site, site.viser.gui, view
+        self._bench, self._lab, self._editor, self._compose = bench, lab, editor, compose
+        self.bags = folder
+        """Folder of the bags."""
+        self._watch = watch
+        self.drive: Drive | None = None
+        """The episode; none: none was begun."""
+        self._heard: dict[int, tuple[float, Mapping[str, Any]]] = {}
+        self._target: Pose | None = None
+        self._base = Pose()
+        self._opening = 1.0
+        self._last_buttons: dict[int, tuple[float, ...]] = {}
+        self._ending = ""
+        self._lock = threading.RLock()
+        self._gizmo: Any = None
+        self._images: dict[str, Any] = {}
+        self._judging: list[StateRecord] = []
+        self._closed = threading.Event()
+        self._running = threading.Event()
+        gui = self._gui
+        self.folder = gui.add_folder("Drive", visible=False)
+        with self.folder:
+            self._source = gui.add_dropdown("Scene", (DRAWN, EDITED), initial_value=DRAWN)
+            self._waits = gui.add_checkbox("Time stands still when nothing is held", initial_value=True)
+            self._speed = gui.add_slider("Speed [m/s]", 0.02, 0.4, 0.01, 0.2)
+            start = gui.add_button("Begin an episode")
+            buttons = gui.add_button_group("Then", ("End and keep", "Throw away", "Watch it"))
+            self._told = gui.add_html(markup.paragraph(HELP, "drive"))
+            self._lamps = gui.add_html("")
+            self._pictures = gui.add_folder("Cameras")
+        start.on_click(lambda _: self.begin() and None)
+        buttons.on_click(lambda event: self._button(str(event.target.value)))
+        threading.Thread(target=self._tick, name="driver", daemon=True).start()
+
+    # ---------------------------------------------------------------- episodes
+
+    def begin(self) -> Any:
+        """Begin an episode; returns the future drive. One that is running is set apart first."""
+        return self._bench.do(self._begin)
+
+    def _begin(self) -> Drive | None:
+        self.leave()
+        desk = self._editor.desk
+        edited = self._source.value == EDITED and desk is not None
+        seed = self._compose.seed
+        index = next_index(self.bags, seed)
+        seed = type(seed)(run_seed=seed.run_seed, purpose=seed.purpose, index=index)
+        self._tell(f"drawing index {index} ...")
+        try:
+            assert desk is not None or not edited
+            text = as_yaml(desk.document) if edited and desk is not None else task_text(str(self._compose.chosen))
+            draw = self._lab.draw(text, seed)
+            self._view.load(draw.scene)
+            self._judging = []
+            drive = Drive(self._lab.graph, draw, seed, self.bags, on_tick=self._shown)
+        except RoboximError as error:
+            self._tell(str(error), alert=True)
+            return None
+        with self._lock:
+            self.drive, self._ending, self._target = drive, "", None
+            self._base, self._opening = draw.scene.robot.pose, drive.state.robot.gripper_command
+            self._place_gizmo(drive.state.robot.pose_tcp_commanded)
+        self._tell(f"{draw.task.instruction}\n{HELP}")
+        self._site.tell(driving=True, hint=draw.task.instruction, alert="")
+        self._running.set()
+        return drive
+
+    def leave(self) -> None:
+        """Set a running episode apart; on the bench."""
+        self._running.clear()
+        drive, self.drive = self.drive, None
+        if drive is not None and (path := drive.close()):
+            self._tell(f"the running episode was set apart as {path}")
+        self._stop_driving()
+
+    def _stop_driving(self) -> None:
+        with self._lock:
+            if self._gizmo is not None:
+                self._gizmo.remove()
+                self._gizmo = None
+            self._heard.clear()
+        self._site.tell(driving=False, hint="")
+
+    def close(self) -> None:
+        """End the driver; call `leave` on the bench afterwards."""
+        self._closed.set()
+        self._running.set()
+
+    def _button(self, what: str) -> None:
+        if what == "End and keep":
+            self.key(KEEP)
+        elif what == "Throw away":
+            self.key(THROW)
+        elif self.drive is not None and self.drive.film is not None:
+            self._watch(self.drive.film)
+
+    # ---------------------------------------------------------------- input
+
+    def heard(self, page: int, message: Mapping[str, Any]) -> None:
+        """Note what a page holds; an empty message: it has gone. Called in the server's thread."""
+        with self._lock:
+            if not message:
+                self._heard.pop(page, None)
+                self._last_buttons.pop(page, None)
+                return
+            if "held" in message:
+                self._heard[page] = (time.monotonic(), message)
+                buttons = Steering.of_message(message).buttons
+                before = self._last_buttons.get(page, ())
+                self._last_buttons[page] = buttons
+        if "held" in message:
+            for button, code in ((GRIPPER_BUTTON, GRIPPER), (KEEP_BUTTON, KEEP), (THROW_BUTTON, THROW)):
+                if _pressed(buttons, button) and not _pressed(before, button):
+                    self.key(code)
+
+    def key(self, code: str) -> None:
+        """Obey a key that acts once."""
+        if self.drive is None:
+            return
+        with self._lock:
+            if code == GRIPPER:
+                self._opening = 0.0 if self._opening > 0.5 else 1.0
+            elif code in (KEEP, THROW):
+                if self._running.is_set():
+                    self._ending = code
+                elif code == THROW:
+                    self._bench.do(self._throw)
+
+    def steering(self) -> Steering:
+        """Return what is held on all pages together."""
+        now = time.monotonic()
+        with self._lock:
+            fresh = [message for stamp, message in self._heard.values() if now - stamp < SILENT_S]
+            all_held = [Steering.of_message(message) for message in fresh]
+            pad = next((one for one in all_held if one.axes), Steering())
+            held = frozenset().union(*(one.held for one in all_held))
+            return Steering(held=held, axes=pad.axes, buttons=pad.buttons, target=self._target)
+
+    def _place_gizmo(self, pose_tcp: Pose) -> None:
+        if self._gizmo is not None:
+            self._gizmo.remove()
+        self._gizmo = self._site.viser.scene.add_transform_controls(
+            "/drive/target", scale=0.18, position=pose_tcp.position, wxyz=wxyz(pose_tcp), depth_test=False
+        )
+        self._gizmo.on_update(self._dragged)
+
+    async def _dragged(self, event: Any) -> None:
+        w, x, y, z = (float(value) for value in event.target.wxyz)
+        px, py, pz = (float(value) for value in event.target.position)
+        norm = (w * w + x * x + y * y + z * z) ** 0.5 or 1.0
+        pose = Pose(position=(px, py, pz), quat_xyzw=(x / norm, y / norm, z / norm, w / norm))
+        with self._lock:
+            self._target = self._base.inverse() @ pose
+
+    # ---------------------------------------------------------------- ticks
+
+    def _tick(self) -> None:
+        """Advance at the control rate; in lockstep only while something moves."""
+        due = time.monotonic()
+        while not self._closed.is_set():
+            if not self._running.wait(0.5) or self._closed.is_set():
+                continue
+            drive = self.drive
+            if drive is None:
+                continue
+            due = max(due + 1.0 / drive.rate_hz, time.monotonic() - 1.0 / drive.rate_hz)
+            self._closed.wait(max(0.0, due - time.monotonic()))
+            try:
+                self._bench.do(lambda drive=drive: self._advance(drive)).result()  # type: ignore[misc]
+            except RoboximError as error:
+                self._running.clear()
+                self._tell(str(error), alert=True)
+
+    def _advance(self, drive: Drive) -> None:
+        """Execute what is held, on the bench."""
+        if drive is not self.drive or not self._running.is_set():
+            return
+        if self._ending == THROW:
+            self._throw()
+            return
+        state, steering = drive.state, self.steering()
+        commanded = self._base.inverse() @ state.robot.pose_tcp_commanded
+        speeds = Speeds(translation_m_s=float(self._speed.value))
+        action = action_of(steering, commanded, self._opening, drive.rate_hz, speeds)
+        last = self._ending == KEEP
+        fingers_move = abs(state.robot.gripper_opening - self._last_opening(drive)) > 0.01
+        if self._waits.value and not last and not fingers_move and not moves(action, state.robot.gripper_command):
+            return
+        if any(steering.directions()) and self._gizmo is not None:  # keys take over from the gizmo
+            self._target = None
+        if not drive.step(action, last=last):
+            self._ended(drive)
+
+    def _last_opening(self, drive: Drive) -> float:
+        before = self._judging[-2] if len(self._judging) > 1 else drive.state
+        return before.robot.gripper_opening
+
+    def _ended(self, drive: Drive) -> None:
+        self._running.clear()
+        self._stop_driving()
+        film = drive.film
+        assert film is not None
+        kept = f"kept as {drive.bag.name}" if drive.bag is not None else ""
+        self._tell(f"{ending(film)} after {film.result.steps} actions; {kept}\nBackspace or 'Throw away' removes it")
+        self._site.tell(hint=f"{ending(film)}; Backspace throws it away")
+
+    def _throw(self) -> None:
+        drive, self._ending = self.drive, ""
+        self._running.clear()
+        if drive is not None:
+            drive.throw_away()
+            self.drive = None
+        self._stop_driving()
+        self._tell("thrown away")
+
+    def _shown(self, state: StateRecord, step: EpisodeStep) -> None:
+        images = {name: seen.rgb for name, seen in self._lab.graph.sim.images.items()}
+        self._view.show(state, images)
+        self._judging.append(state)
+        if self._gizmo is not None and self._target is None:
+            pose = state.robot.pose_tcp_commanded
+            self._gizmo.position, self._gizmo.wxyz = pose.position, wxyz(pose)
+        self._lamps.content = markup.paragraph(
+            f"tick {state.seq}   {'solved' if step.verdict.success else step.verdict.reason}", "drive-verdict"
+        )
+        for name, image in images.items():
+            if name in self._images:
+                self._images[name].image = image
+            else:
+                with self._pictures:
+                    self._images[name] = self._gui.add_image(image, label=name, jpeg_quality=85)
+
+    def _tell(self, text: str, *, alert: bool = False) -> None:
+        self._told.content = markup.paragraph(text, "drive", alert=alert)
+
+
+def _pressed(buttons: tuple[float, ...], button: int) -> bool:
+    return button < len(buttons) and buttons[button] > 0.5

@@ -1,0 +1,139 @@
+import numpy as np
+import pytest
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.episode import Draw
+from roboxim_core.poses import Pose
+from roboxim_core.seeds import SeedPath
+from roboxim_recorder.bag import BagReader
+from roboxim_recorder.integrity.check import check_bag
+from roboxim_recorder.replay import replay
+from roboxim_studio.acting.drive import Drive, next_index
+from roboxim_studio.acting.lab import Lab
+from roboxim_studio.acting.steering import Speeds, Steering, action_of, moves
+from roboxim_studio.browser import wait_for
+from roboxim_studio.episode.film import read_film
+
+SEED = SeedPath(run_seed=1, purpose="demo", index=0)
+HERE = Pose(position=(0.5, 0.0, 0.3), quat_xyzw=(1.0, 0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def lab():
+    lab = Lab()
+    yield lab
+    lab.close()
+
+
+def test_keys_and_sticks_become_deltas_of_the_robots_base():
+    forward = action_of(Steering(held=frozenset({"KeyW"})), HERE, 1.0, 10.0, Speeds(translation_m_s=0.2))
+    assert forward == pytest.approx([0.02, 0, 0, 0, 0, 0, 1.0])
+    slow = action_of(Steering(held=frozenset({"KeyA", "ShiftLeft"})), HERE, 0.0, 10.0, Speeds(translation_m_s=0.2))
+    assert slow == pytest.approx([0, 0.005, 0, 0, 0, 0, 0.0])
+    both = action_of(Steering(held=frozenset({"KeyW", "KeyS"})), HERE, 1.0, 10.0)
+    assert not moves(both, 1.0)
+    assert moves(both, 0.0)
+    stick = Steering.of_message({"held": [], "pad": {"axes": [0.05, -1.0, 0.0, 0.0], "buttons": [0, 0]}})
+    assert action_of(stick, HERE, 1.0, 10.0)[:3] == pytest.approx([0.02, 0.0, 0.0])
+
+
+def test_the_tool_goes_to_the_gizmo_no_faster_than_allowed():
+    target = Pose(position=(0.5, 0.1, 0.3), quat_xyzw=HERE.quat_xyzw)
+    action = action_of(Steering(target=target), HERE, 1.0, 10.0, Speeds(translation_m_s=0.2))
+    assert action[:6] == pytest.approx([0, 0.02, 0, 0, 0, 0], abs=1e-6)
+    assert not moves(action_of(Steering(target=HERE), HERE, 1.0, 10.0), 1.0)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [{"held": "KeyW"}, {"held": [1, None, {}]}, {"pad": {"axes": ["x", float("nan"), 1e9]}}, {"pad": 3}, {}],
+)
+def test_nonsense_of_a_page_moves_nothing_beyond_the_speeds(message):
+    action = action_of(Steering.of_message(message), HERE, 1.0, 10.0)
+    assert np.isfinite(action).all()
+    assert np.abs(action[:3]).max() <= 0.02 + 1e-9
+
+
+def test_a_driven_episode_is_a_bag_like_any_other(lab, bag, tmp_path):
+    film = read_film(bag)
+    draw = Draw(task=film.info.task, scene=film.info.scene, max_steps=100)
+    drive = Drive(lab.graph, draw, SEED, tmp_path)
+    for number, state in enumerate(film.states[1 : film.result.steps + 1], start=1):
+        drive.step(np.array(state.action_executed, np.float32), last=number == film.result.steps)
+    assert drive.result.outcome == "success"
+    assert drive.film.path == drive.bag
+    assert check_bag(drive.bag).ok
+    reader = BagReader(drive.bag)
+    assert (reader.info.actor, reader.info.actor_privileged) == ("human", False)
+    assert reader.info.semantics == ActionSemantics(rate_hz=10.0)
+    assert replay(reader, lab.graph.sim).same
+    assert [tick.state.state_hash for tick in reader.ticks(cameras=())] == [s.state_hash for s in film.states]
+    assert next_index(tmp_path, SEED) == 1
+    drive.throw_away()
+    assert not drive.bag
+    assert next_index(tmp_path, SEED) == 0
+
+
+def test_an_episode_that_is_cut_off_is_set_apart_and_whole(lab, bag, tmp_path):
+    film = read_film(bag)
+    drive = Drive(lab.graph, Draw(task=film.info.task, scene=film.info.scene, max_steps=100), SEED, tmp_path)
+    for _ in range(3):
+        drive.step(np.array([0.01, 0, 0, 0, 0, 0, 1.0], np.float32))
+    path = drive.close()
+    assert path.startswith("set_apart/")
+    assert check_bag(tmp_path / path).ok
+    assert BagReader(tmp_path / path).result.reason == "interrupted"
+    assert next_index(tmp_path, SEED) == 1
+
+
+def test_driving_in_the_page_with_held_keys(studio, chromium, tmp_path):
+    studio.drive.bags = tmp_path
+    studio.open_task("pick_cube").result(timeout=120)
+    studio.show("Drive")
+    chromium.open(studio.url)
+    chromium.wait("document.documentElement.dataset.studioConnected === 'true'")
+    drive = studio.drive.begin().result(timeout=120)
+    chromium.wait("document.documentElement.dataset.studioDriving === 'true'")
+    start = drive.state
+    chromium.key("KeyR", down=True)
+    wait_for(lambda: drive.state.seq >= start.seq + 4, "four ticks", 60)
+    chromium.key("KeyR", down=False)
+    wait_for(lambda: not studio.drive.steering().held, "the released key", 60)
+    up = [after.robot.pose_tcp_commanded.position[2] for after in (start, drive.state)]
+    assert up[1] - up[0] == pytest.approx(0.02 * (drive.state.seq - start.seq), abs=1e-4)
+    chromium.run("new Promise(done => setTimeout(done, 500))")
+    stands = drive.state.seq
+    chromium.run("new Promise(done => setTimeout(done, 700))")
+    assert drive.state.seq == stands
+    chromium.key("Space", down=True)
+    chromium.key("Space", down=False)
+    wait_for(lambda: drive.state.robot.gripper_command == 0.0, "the gripper", 60)
+    chromium.key("Enter", down=True)
+    chromium.key("Enter", down=False)
+    wait_for(lambda: drive.result is not None, "the end", 60)
+    assert drive.result.outcome == "failure"
+    assert check_bag(drive.bag).ok
+    chromium.wait("document.documentElement.dataset.studioDriving === 'false'")
+    chromium.key("Backspace", down=True)
+    chromium.key("Backspace", down=False)
+    wait_for(lambda: not list(tmp_path.glob("episodes/*")), "the episode thrown away", 60)
+
+
+def test_a_page_that_goes_away_while_driving_loses_nothing(studio, chromium, tmp_path):
+    studio.drive.bags = tmp_path
+    studio.open_task("pick_cube").result(timeout=120)
+    studio.show("Drive")
+    chromium.open(studio.url)
+    chromium.wait("document.documentElement.dataset.studioConnected === 'true'")
+    drive = studio.drive.begin().result(timeout=120)
+    chromium.wait("document.documentElement.dataset.studioDriving === 'true'")
+    chromium.key("KeyR", down=True)
+    wait_for(lambda: drive.state.seq >= 2, "two ticks", 60)
+    chromium.open("about:blank")
+    wait_for(lambda: not studio.drive.steering().held, "the page gone", 60)
+    assert studio.drive.drive is drive
+    chromium.open(studio.url)
+    chromium.wait("document.documentElement.dataset.studioDriving === 'true'")
+    studio.close()
+    (apart,) = (tmp_path / "set_apart").iterdir()
+    assert check_bag(apart).ok
