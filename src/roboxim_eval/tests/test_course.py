@@ -46,6 +46,10 @@ def test_a_sentence_says_how_far_it_came_and_when_it_was_lost():
     assert what_happened(held, solved=False, reason="not_held", hold_s=0.5, held_s=0.2) == (
         "All conditions held, but for 0.2 s of 0.5 s."
     )
+    placed = [condition("on_support", "support_force_n", [0.0, 0.0], least=math.nextafter(0.0, 1.0))]
+    assert what_happened(placed, solved=False, reason="not_on_support") == (
+        "Support force reached 0 N, needed more than 0."
+    )
     assert what_happened(picking(lift, fingers), solved=True, reason="") == ""
     assert what_happened([], solved=False, reason="x") == ""
 

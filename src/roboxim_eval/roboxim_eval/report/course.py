@@ -27,6 +27,8 @@ WORDS = {"pressing_links": "fingers pressing it", "table_force_n": "force on the
 """Measure to its name for people, where the name itself does not say it."""
 NOTHING = 0.02
 """Share of a bound below which a value is shown as 0."""
+TINY = 1e-6
+"""Bounds below it stand for "more than nothing"."""
 MOST_EVENTS = 2
 """Number of conditions that a sentence names."""
 
@@ -170,6 +172,8 @@ def _of_limit(one: ConditionCourse, tick: int) -> str:
     text = shown(one.measure, 0.0 if abs(value) < NOTHING * abs(one.bound) else value)
     if not 0 < one.least < math.inf:
         return f"{text}, allowed {limit}"
+    if one.bound < TINY:
+        return f"{text}, needed more than 0"
     return (
         text if value >= one.least else f"{text} of {limit.removesuffix(UNITS.get(_ending(one.measure), (1.0, ''))[1])}"
     )

@@ -120,7 +120,7 @@ def experiment_page(page: ExperimentPage) -> str:
         emphasised=_has_primary(card),
         curve=_curve(card, link if page.checkpoints else no_link),
         map=map_view(page.episodes, names, page.place),
-        breakdowns=breakdowns(page.episodes, names),
+        breakdowns=breakdowns(page.episodes, names, without=design.cells[0].levels),
         failures=[(name, failure_rows([e for e in page.episodes if e.arm == name], arm=name)) for name in names],
         patterns=scene_patterns(page.episodes, names),
         groups=film_groups(page.episodes, page.films, names),

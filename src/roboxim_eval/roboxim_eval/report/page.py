@@ -6,6 +6,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from roboxim_eval.report.charts.forest import forest_axis, forest_bar, rate_bar
+from roboxim_eval.report.parts import by_task
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -30,5 +31,10 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )  # fmt: skip
     environment.filters["percent"] = lambda value: f"{100 * value:.0f} %"
-    environment.globals |= {"forest_bar": forest_bar, "forest_axis": forest_axis, "rate_bar": rate_bar}
+    environment.globals |= {
+        "forest_bar": forest_bar,
+        "forest_axis": forest_axis,
+        "rate_bar": rate_bar,
+        "by_task": by_task,
+    }
     return environment

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from roboxim_eval.grouping import grouped
@@ -14,6 +14,8 @@ from roboxim_eval.report.reasons import UNNAMED, explained
 from roboxim_eval.statistics.factors import NOT_DRAWN, factor_effects, level_order
 from roboxim_eval.statistics.rates import success_rate
 
+TASK = "task"
+"""The factor by which a mix or a suite has tasks; its table is the first one."""
 INSTRUCTION = "instruction"
 """The factor that every episode has, recorded or not."""
 
@@ -122,7 +124,9 @@ def films_shown(episodes: Sequence[Episode], films: Mapping[int, Film]) -> str:
     )
 
 
-def breakdowns(episodes: Sequence[Episode], arms: Sequence[str]) -> list[dict[str, Any]]:
+def breakdowns(
+    episodes: Sequence[Episode], arms: Sequence[str], *, without: Collection[str] = ()
+) -> list[dict[str, Any]]:  # fmt: skip
     """Return the success of each arm by each recorded factor and by instruction; arms are never pooled.
 
     Factors that divide the episodes in the same way are one table. The p value of a factor is that of the permutation
@@ -131,10 +135,13 @@ def breakdowns(episodes: Sequence[Episode], arms: Sequence[str]) -> list[dict[st
     Args:
         episodes: Episodes of the arms.
         arms: The arms, in the order of the columns.
+        without: Factors that the page shows elsewhere.
     """
     trials = {number: trial for number, e in enumerate(episodes) if (trial := e.trial).drawn}
     p_values = {effect.factor: effect.adjusted for effect in factor_effects(list(trials.values()))}
-    names = [*p_values, *sorted({name for e in episodes for name in e.drawn} - set(p_values)), INSTRUCTION]
+    drawn = {name for e in episodes for name in e.drawn}
+    names = [*sorted(drawn - set(p_values), key=lambda name: (name != TASK, name)), *p_values, INSTRUCTION]
+    names = [name for name in names if name not in without]
     tables: dict[tuple[frozenset[int], ...], dict[str, Any]] = {}
     for name in names:
         table = _breakdown(episodes, arms, name)
@@ -146,6 +153,11 @@ def breakdowns(episodes: Sequence[Episode], arms: Sequence[str]) -> list[dict[st
         else:
             tables[parts] = table | {"p": p_values.get(name)}
     return list(tables.values())
+
+
+def by_task(tables: Sequence[Mapping[str, Any]]) -> bool:
+    """Return whether the first of the breakdowns is by task."""
+    return bool(tables) and str(tables[0]["name"]).partition(",")[0] == TASK
 
 
 def _breakdown(episodes: Sequence[Episode], arms: Sequence[str], name: str) -> dict[str, Any]:

@@ -23,6 +23,8 @@ LEFT, BELOW, EDGE = 46.0, 40.0, 8.0
 """Space for the axes, and at the other two edges [px]."""
 MARGIN_M = 0.06
 """Space around what is shown [m]."""
+LEAST_WIDTH_M = 0.8
+"""Least width of what is shown [m], margins excluded."""
 MOST_DOTS = 400
 """Number of episodes above which the single ones are not drawn."""
 LEAST = 3
@@ -103,9 +105,8 @@ class View:
         y = [grid.low_y, grid.low_y + grid.columns * grid.side]
         if place is not None:
             x, y = [*x, place.robot[0] - 0.04], [*y, place.robot[1] - 0.1, place.robot[1] + 0.1]
-        return View(
-            low_x=min(x) - MARGIN_M, high_x=max(x) + MARGIN_M, low_y=min(y) - MARGIN_M, high_y=max(y) + MARGIN_M
-        )
+        wider = max(0.0, LEAST_WIDTH_M - (max(y) - min(y))) / 2 + MARGIN_M
+        return View(low_x=min(x) - MARGIN_M, high_x=max(x) + MARGIN_M, low_y=min(y) - wider, high_y=max(y) + wider)
 
     @property
     def scale(self) -> float:
@@ -200,7 +201,7 @@ def _table(view: View, place: Place | None) -> list[Markup]:
         element("line", x1=x1, y1=y1, x2=x2, y2=y2, class_="table-edge") for shown, x1, y1, x2, y2 in edges if shown
     ]
     if edges[0][0]:
-        parts.append(element("text", "edge of the table", x=left + 6, y=bottom + 14, class_="axis"))
+        parts.append(element("text", "edge of the table", x=right - 6, y=bottom - 6, text_anchor="end", class_="axis"))
     return parts
 
 
