@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -54,9 +54,9 @@ Openness = Callable[[Sequence[TriangleMesh], Sequence[TriangleMesh]], Sequence[n
 class PackedBody:
     """A body's index ranges and bounds. A body of the surroundings has one `PackedBody` for each of its parts."""
 
-    key: str
+    key: str = ""
     """Key of its pose."""
-    entity: str
+    entity: str = ""
     """Entity that the body belongs to."""
     plain: range
     """Indices of the untextured faces."""
@@ -212,22 +212,17 @@ class _Shape:
     parts: tuple[VisualPart, ...]
     vertices: npt.NDArray[np.void]
     indices: npt.NDArray[np.uint32]
-    ranges: tuple[range, range, range, range]
-    """Indices of the untextured and the textured faces, and of the same two with fewer faces."""
-    shadow: range
-    center: Array
-    half: Array
-    radius: float
+    body: PackedBody
+    """The body without key and entity, as if its indices were the first ones."""
 
     def placed(self, body: RenderBody, first_index: int) -> PackedBody:
         """Return the body whose indices begin at a place."""
-        plain, textured, plain_coarse, textured_coarse, shadow = (
-            range(part.start + first_index, part.stop + first_index) for part in (*self.ranges, self.shadow)
-        )
-        return PackedBody(
-            key=body.key, entity=body.entity, plain=plain, textured=textured, plain_coarse=plain_coarse,
-            textured_coarse=textured_coarse, shadow=shadow, center=self.center, half=self.half, radius=self.radius,
-        )  # fmt: skip
+        moved: dict[str, Any] = {
+            name: range(value.start + first_index, value.stop + first_index)
+            for name, value in vars(self.body).items()
+            if isinstance(value, range)
+        }
+        return replace(self.body, key=body.key, entity=body.entity, **moved)
 
 
 def _shape_of(kind: str, parts: Sequence[VisualPart], layers: Sequence[int], openness: Openness) -> _Shape:
@@ -260,11 +255,16 @@ def _shape_of(kind: str, parts: Sequence[VisualPart], layers: Sequence[int], ope
         parts=tuple(parts),
         vertices=np.concatenate(arrays.vertices),
         indices=np.concatenate(arrays.indices),
-        ranges=(plain, textured, plain_coarse, textured_coarse),
-        shadow=range(0) if room else range(plain_coarse.start, textured_coarse.stop),
-        center=center,
-        half=(high - low) / 2,
-        radius=float(np.linalg.norm(points - center, axis=1).max()),
+        body=PackedBody(
+            plain=plain,
+            plain_coarse=plain_coarse,
+            textured=textured,
+            textured_coarse=textured_coarse,
+            shadow=range(0) if room else range(plain_coarse.start, textured_coarse.stop),
+            center=center,
+            half=(high - low) / 2,
+            radius=float(np.linalg.norm(points - center, axis=1).max()),
+        ),
     )
 
 

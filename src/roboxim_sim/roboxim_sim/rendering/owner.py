@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 
-from roboxim_core.errors import SimError
+from roboxim_core.errors import ErrorCode, SimError
 
 
 class Owner:
@@ -20,11 +20,26 @@ class Owner:
         self._pid, self._thread = os.getpid(), threading.current_thread()
         self.closed = False
 
-    def check(self) -> None:
-        """Check the calling thread.
+    def end(self) -> bool:
+        """Close the renderer; return whether there is something to free: false when it was closed before.
 
         Raises:
-            SimError: When the calling thread is not the owner, or the renderer is closed.
+            SimError: When the calling thread is not the owner.
+        """
+        if self.closed:
+            return False
+        self.check()
+        self.closed = True
+        return True
+
+    def check(self, *, loaded: bool = True) -> None:
+        """Check the calling thread.
+
+        Args:
+            loaded: Whether the renderer has what the call needs: a world.
+
+        Raises:
+            SimError: When the calling thread is not the owner, the renderer is closed, or it has no world.
         """
         if self.closed:
             raise SimError("the renderer is closed; create another one")
@@ -34,3 +49,5 @@ class Owner:
                 f"called from {threading.current_thread().name} of process {os.getpid()}: call it "
                 "there, or create another one"
             )
+        if not loaded:
+            raise SimError("the renderer has no world yet: call load() first", ErrorCode.NO_SCENE)

@@ -153,9 +153,8 @@ class PhotoRenderer:
             InvalidRequestError: On a pose of an unknown body, or two cameras with the same name.
             SimError: When called from another thread or process, before `load`, after `close`, or when Blender fails.
         """
-        self._owner.check()
-        if self._keys is None:
-            raise SimError("the renderer has no world yet: call load() first", ErrorCode.NO_SCENE)
+        self._owner.check(loaded=self._keys is not None)
+        assert self._keys is not None
         check_request(self._keys, poses, cameras)
         self._send(
             {
@@ -177,10 +176,8 @@ class PhotoRenderer:
 
     def close(self) -> None:
         """Stop Blender. Closing twice is harmless."""
-        if self._owner.closed:
+        if not self._owner.end():
             return
-        self._owner.check()
-        self._owner.closed = True
         assert self._process.stdin
         assert self._process.stdout
         with contextlib.suppress(BrokenPipeError):

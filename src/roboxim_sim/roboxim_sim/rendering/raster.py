@@ -25,7 +25,7 @@ from collections.abc import Mapping, Sequence
 import moderngl
 import numpy as np
 
-from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
+from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, LookSpec
 from roboxim_core.vision.renderer import CameraImages, RenderWorld
@@ -106,9 +106,8 @@ class RasterRenderer:
             InvalidRequestError: On a pose of an unknown body, or two cameras with the same name.
             SimError: When called from another thread or process, before `load` or after `close`.
         """
-        self._owner.check()
-        if self._world is None:
-            raise SimError("the renderer has no world yet: call load() first", ErrorCode.NO_SCENE)
+        self._owner.check(loaded=self._world is not None)
+        assert self._world
         world, look = self._world
         check_request(world.packed.keys, poses, cameras)
         images: dict[str, CameraImages] = {}
@@ -136,11 +135,8 @@ class RasterRenderer:
 
     def close(self) -> None:
         """Free the context. Closing twice is harmless."""
-        if self._owner.closed:
-            return
-        self._owner.check()
-        self._owner.closed = True
-        self._context.release()
+        if self._owner.end():
+            self._context.release()
 
     def _upload(self, frame: Frame, cameras: Cameras) -> None:
         """Upload poses and views."""

@@ -86,9 +86,8 @@ class TinyRenderer:
             InvalidRequestError: On a pose of an unknown body, or two cameras with the same name.
             SimError: When called from another thread or process, before `load` or after `close`.
         """
-        self._owner.check()
-        if self._parts is None:
-            raise SimError("the renderer has no world yet: call load() first", ErrorCode.NO_SCENE)
+        self._owner.check(loaded=self._parts is not None)
+        assert self._parts is not None
         check_request(self._keys, poses, cameras)
         for part in self._parts:
             pose = poses.get(part.key, IDENTITY)
@@ -97,9 +96,7 @@ class TinyRenderer:
 
     def close(self) -> None:
         """Stop the client. Closing twice is harmless."""
-        if not self._owner.closed:
-            self._owner.check()
-            self._owner.closed = True
+        if self._owner.end():
             self._client.disconnect()
 
     def _add(self, part: VisualPart, key: str, loaded: dict[str, int]) -> int:

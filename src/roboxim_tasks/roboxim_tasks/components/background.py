@@ -42,12 +42,8 @@ class BackgroundReset(ResetComponent):
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
         """Draw the background."""
-        rng, index, look = context.rng(self.name), context.index, scene.look
-        if self.config.kind is not None:
-            look = replace(look, background=str(self.config.kind.draw(rng, index)))
-            context.record(self.name, self.config.kind, look.background)
-        if self.config.backdrop is not None:
-            r, g, b = self.config.backdrop.draw(rng, index).tolist()
-            look = replace(look, backdrop=(r, g, b))
-            context.record(f"{self.name}.backdrop", self.config.backdrop, look.backdrop)
-        return replace(scene, look=look)
+        names = {"kind": self.name, "backdrop": f"{self.name}.backdrop"}
+        drawn = context.vary(self.config, context.rng(self.name), names)
+        if "kind" in drawn:
+            drawn["background"] = drawn.pop("kind")
+        return replace(scene, look=replace(scene.look, **drawn))

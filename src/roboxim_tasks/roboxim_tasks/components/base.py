@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass, replace
 from typing import Any, ClassVar
 
@@ -97,6 +97,29 @@ class ResetContext:
             varies = isinstance(choice, Choice) and choice.lower != choice.upper
         if varies or always:
             self.drawn[name] = choice_text(value)
+
+    def vary(self, config: object, rng: np.random.Generator, names: Mapping[str, str]) -> dict[str, Any]:
+        """Draw the properties that a configuration varies, and record them.
+
+        Args:
+            config: Has a choice, or none, for each property.
+            rng: Random stream of the draws.
+            names: Property to its name in the record, in the order of the draws.
+
+        Returns:
+            Varied property to its value: a number, a text or a tuple of numbers.
+        """
+        values: dict[str, Any] = {}
+        for key, name in names.items():
+            choice: Choice | VectorChoice | None = getattr(config, key)
+            if choice is not None:
+                drawn = choice.draw(rng, self.index)
+                if isinstance(drawn, np.ndarray):
+                    values[key] = tuple(drawn.tolist())
+                else:
+                    values[key] = drawn if isinstance(drawn, str) else float(drawn)
+                self.record(name, choice, "none" if values[key] == "" else values[key])
+        return values
 
     def room_taken(self, scene: SceneSpec) -> str:
         """Return the first constraint whose free space is taken in a scene with all objects, or an empty text."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -100,29 +99,17 @@ class LightsReset(ResetComponent):
         Raises:
             ConfigError: When the scene has no light to vary.
         """
-        rng, index, look = context.rng(self.name), context.index, scene.look
-        changed: dict[str, Any] = {}
-        if self.config.intensity is not None:
-            changed["intensity"] = self.config.intensity.draw_number(rng, index)
-        for key in ("color", "direction", "position"):
-            choice = getattr(self.config, key)
-            if choice is not None:
-                changed[key] = tuple(choice.draw(rng, index).tolist())
-        if self.config.radius is not None:
-            changed["radius"] = self.config.radius.draw_number(rng, index)
-        for key, value in changed.items():
-            context.record(f"light.{key}", getattr(self.config, key), value)
+        look = scene.look
+        names = {key: f"light.{key}" for key in ("intensity", "color", "direction", "position", "radius", "ambient")}
+        changed = context.vary(self.config, context.rng(self.name), names)
+        look = replace(look, ambient=changed.pop("ambient", look.ambient))
         if changed:
             if not look.lights:
                 raise ConfigError(
                     f"reset.lights sets {', '.join(changed)}, but scene '{context.config.scene}' has no light"
                 )
             look = replace(look, lights=(replace(look.lights[0], **changed), *look.lights[1:]))
-        if self.config.ambient is not None:
-            r, g, b = self.config.ambient.draw(rng, index).tolist()
-            look = replace(look, ambient=(r, g, b))
-            context.record("light.ambient", self.config.ambient, look.ambient)
-        lamps = self._lamps(context.rng(f"{self.name}/lamps"), index)
+        lamps = self._lamps(context.rng(f"{self.name}/lamps"), context.index)
         context.record("light.lamps", self.config.lamps.number, len(lamps))
         return replace(scene, look=replace(look, lights=(*look.lights, *lamps)))
 

@@ -74,16 +74,7 @@ class SurfacesReset(ResetComponent):
         for surface in ("table", "floor", "wall"):
             config: SurfaceConfig = getattr(self.config, surface)
             material: MaterialSpec = getattr(scene.look, surface)
-            rng, index = context.rng(f"{self.name}/{surface}"), context.index
-            if config.color is not None:
-                r, g, b = config.color.draw(rng, index).tolist()
-                material = replace(material, color=(r, g, b))
-                context.record(f"{surface}.color", config.color, material.color)
-            if config.texture is not None:
-                material = replace(material, texture=str(config.texture.draw(rng, index)))
-                context.record(f"{surface}.texture", config.texture, material.texture or "none")
-            if config.roughness is not None:
-                material = replace(material, roughness=config.roughness.draw_number(rng, index))
-                context.record(f"{surface}.roughness", config.roughness, material.roughness)
-            look = replace(look, **{surface: material})  # type: ignore[arg-type]
+            names = {key: f"{surface}.{key}" for key in ("color", "texture", "roughness")}
+            drawn = context.vary(config, context.rng(f"{self.name}/{surface}"), names)
+            look = replace(look, **{surface: replace(material, **drawn)})  # type: ignore[arg-type]
         return replace(scene, look=look)
