@@ -184,7 +184,7 @@ def test_only_the_command_imports_the_studio_and_only_when_it_runs():
     }
     assert [path.name for path in importers] == ["studio.py"]
     (tree,) = importers.values()
-    top = [ast.unparse(node) for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    top = [ast.unparse(node) for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]  # not `if TYPE...`
     assert not [line for line in top if "roboxim_studio" in line or "viser" in line]
 
 

@@ -15,6 +15,7 @@ from roboxim_studio.episode.film import Film, read_film
 from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.opening import Kind, Opened
 from roboxim_studio.panels.compose import ComposePanel
+from roboxim_studio.panels.dataset import DatasetPanel
 from roboxim_studio.panels.drive import FOLDER, DrivePanel
 from roboxim_studio.panels.editor import EditorPanel
 from roboxim_studio.panels.episode import EpisodePanel
@@ -22,6 +23,7 @@ from roboxim_studio.panels.files import FilesPanel
 from roboxim_studio.panels.what_if import WhatIfPanel
 from roboxim_studio.serving.access import Access
 from roboxim_studio.serving.site import Site
+from roboxim_studio.sharing import share
 
 EPISODE, SCENE, DRIVE = "Episode", "Scene", "Drive"
 MODES = (EPISODE, SCENE, DRIVE)
@@ -57,7 +59,8 @@ class Studio:
         self._modes.on_click(lambda event: self.show(str(event.target.value)))
         self.mode = EPISODE
         """What the view shows."""
-        self.files = FilesPanel(self.site, self.open_bag)
+        self.files = FilesPanel(self.site, self.bench, self.folder, self.open_bag, self.open_beside)
+        self.dataset = DatasetPanel(self.site)
         self.episode = EpisodePanel(self.site, self.view)
         self.what_if = WhatIfPanel(self.site, self.episode, self.bench, self.lab, self.library)
         self.editor = EditorPanel(self.site, self.view, self.bench, self.lab, self.library, self.folder)
@@ -68,7 +71,9 @@ class Studio:
         self.view.objects_clicked = self._clicked
         with self.what_if.folder:
             edit = server.gui.add_button("Edit this scene")
+            html = server.gui.add_button("Write it as one HTML file")
         edit.on_click(lambda _: self.edit_episode())
+        html.on_click(lambda _: self._share())
         self.show(EPISODE)
 
     @property
@@ -87,6 +92,7 @@ class Studio:
     def close(self) -> None:
         """End everything."""
         self.episode.close()
+        self.files.close()
         self.drive.close()
         self._keys.close()
         self.bench.close(self._last)
@@ -110,6 +116,8 @@ class Studio:
                 self.open_bag(opened.path)
             elif opened.kind == Kind.RUN and opened.path is not None:
                 self.files.open(opened.path, opened.bags)
+            elif opened.kind == Kind.DATASET and opened.path is not None:
+                self.dataset.open(opened.path)
             else:
                 self.open_task(str(opened.path or ""))
         except RoboximError as error:
@@ -125,6 +133,31 @@ class Studio:
         film = read_film(path)
         self.watch(film)
         return film
+
+    def open_beside(self, path: Path) -> None:
+        """Show a recorded episode beside the one that is open.
+
+        Raises:
+            RoboximError: When it cannot be read.
+        """
+        if self.episode.film is None:
+            self.open_bag(path)
+        else:
+            self.what_if.compare(read_film(path))
+
+    def share(self) -> Path | None:
+        """Write the episode that is shown as one HTML file; returns it, or None if there is no episode."""
+        film = self.episode.film
+        if film is None:
+            return None
+        self.site.tell(alert="")
+        try:
+            file = share(film, self.library, self.folder / f"{film.info.episode_id}.html")
+        except (RoboximError, OSError) as error:
+            self.site.tell(alert=str(error))
+            return None
+        self.site.tell(hint=f"written: {file.name}")
+        return file
 
     def watch(self, film: Film) -> None:
         """Show an episode.
@@ -162,6 +195,7 @@ class Studio:
         self.drive.folder.visible = mode == DRIVE
         first = self.drive.folder if mode == DRIVE else self.editor.folder
         self.compose.folder.order = first.order + (0.5 if mode == DRIVE else -0.5)
+        self.dataset.folder.visible = mode == EPISODE and self.dataset.dataset is not None
         self.files.folder.visible = mode == EPISODE and bool(self.files.entries)
         watching = mode == EPISODE and self.episode.film is not None
         self.episode.folder.visible = self.what_if.folder.visible = watching
@@ -178,6 +212,9 @@ class Studio:
             self.editor.show()
         elif mode == EPISODE:
             self.episode.show_again()
+
+    def _share(self) -> None:
+        self.share()
 
     def _clicked(self, entity: str) -> None:
         if self.mode == SCENE and self.editor.desk is not None:

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import click
+
+if TYPE_CHECKING:
+    from roboxim_studio.opening import Opened
 
 from roboxim_cli import strict
 
@@ -15,7 +21,11 @@ from roboxim_cli import strict
     help="Let other machines connect, unencrypted; without it only this machine can. The address holds the secret.",
 )  # fmt: skip
 @click.option("--browser/--no-browser", default=True, help="Open the page in this machine's browser.")
-def command(what: str, port: int, open_network: bool, browser: bool) -> None:
+@click.option(
+    "--html", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+    help="Write the episode of a bag as one HTML file that plays offline, and end.",
+)  # fmt: skip
+def command(what: str, port: int, open_network: bool, browser: bool, html: Path | None) -> None:
     r"""Open the studio: one page, served by this machine, without the internet.
 
     \b
@@ -34,6 +44,9 @@ def command(what: str, port: int, open_network: bool, browser: bool) -> None:
     from roboxim_studio.opening import recognise
 
     opened = recognise(what)
+    if html is not None:
+        _share(opened, html)
+        return
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -45,3 +58,16 @@ def command(what: str, port: int, open_network: bool, browser: bool) -> None:
             threading.Thread(target=webbrowser.open, args=(studio.url,), daemon=True).start()
         studio.open(opened)
         stop.wait()
+
+
+def _share(opened: Opened, html: Path) -> None:
+    """Write an episode as HTML."""
+    from roboxim_core.models.library import ModelLibrary
+    from roboxim_studio.episode.film import read_film
+    from roboxim_studio.opening import Kind
+    from roboxim_studio.sharing import share
+
+    if opened.kind != Kind.BAG or opened.path is None:
+        raise click.UsageError("--html needs one bag, e.g. runs/demos/episodes/demo-0-00000-0")
+    file = share(read_film(opened.path), ModelLibrary(), html)
+    click.echo(f"{file}: {file.stat().st_size / 2**20:.1f} MiB")

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import InvalidRequestError, one_of
+from roboxim_core.plain_data.documents import read_text
 from roboxim_core.seeds import CELL
 
 Fact = tuple[str, ...]
@@ -68,6 +69,29 @@ class Condition:
         return matches if self.sign == "=" else not matches
 
 
+def with_files(texts: Iterable[str]) -> tuple[str, ...]:
+    """Return conditions, those of the form ``@FILE`` replaced by the file's lines; empty lines and ``#`` are comments.
+
+    Raises:
+        ConfigError: When a file cannot be read.
+        InvalidRequestError: When a line is no condition; names the line.
+    """
+    found: list[str] = []
+    for text in texts:
+        if not text.startswith("@"):
+            found.append(text)
+            continue
+        for number, line in enumerate(read_text(text[1:]).splitlines(), start=1):
+            if not (condition := line.strip()) or condition.startswith("#"):
+                continue
+            try:
+                Condition.parse(condition)
+            except InvalidRequestError as error:
+                raise InvalidRequestError(f"{text[1:]} line {number}: {error}") from None
+            found.append(condition)
+    return tuple(found)
+
+
 def require_known(conditions: Sequence[Condition], episodes: Iterable[Mapping[str, Fact]]) -> None:
     """Refuse conditions with a key, or a value of ``=``, that occurs in no episode: most likely a misspelling.
 
@@ -111,6 +135,7 @@ def facts_of(info: EpisodeInfo, result: EpisodeResult) -> dict[str, Fact]:
     """
     task, scene = info.task, info.scene
     facts: dict[str, Fact] = {
+        "episode": (info.episode_id,),
         "skill": (task.skill,),
         "cell": (cell_of(info),),
         "instruction": (task.instruction,),

@@ -183,7 +183,7 @@ class SceneView:
         for handle in self._lights:
             handle.remove()
         scene.configure_default_lights(False)
-        scene.configure_environment_map(None)
+        scene.configure_environment_map(None, environment_intensity=0.0)
         ambient = np.array(look.ambient)
         strongest = float(ambient.max()) or 1.0
         self._lights = [

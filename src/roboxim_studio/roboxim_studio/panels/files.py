@@ -1,80 +1,299 @@
-"""The panel that lists a run's episodes and opens them."""
+"""The panel of a run: its episodes, filtered; their distributions; which to leave out; new ones as they come."""
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from viser import uplot
+
 from roboxim_core.errors import RoboximError
+from roboxim_eval.statistics.rates import success_rate
+from roboxim_recorder.bag import BagReader
+from roboxim_studio.bench import Bench
+from roboxim_studio.episode.choice import save_selection, selection_text
 from roboxim_studio.episode.film import Film
 from roboxim_studio.episode.listing import Entry, list_entries
+from roboxim_studio.episode.statistics import Traits, traits
+from roboxim_studio.opening import bags_of
 from roboxim_studio.panels import markup
 from roboxim_studio.serving.site import Site
 
 ANY = "any"
+WATCH_S = 1.0
+"""Period in which a run's folder is looked at for new episodes."""
+MARKS = {"": "", "flag": "! ", "out": "x "}
+"""Mark of an episode to the text before its name."""
 
 
 class FilesPanel:
-    """Lists episodes, filtered; only bags of the folder that was opened can be named."""
+    """Lists the episodes of one folder; only bags of that folder can be opened."""
 
-    def __init__(self, site: Site, open_bag: Callable[[Path], Film]) -> None:
-        """Build the panel in the current container; it stays hidden until a run is opened."""
-        self._site, self._gui, self._open_bag = site, site.viser.gui, open_bag
+    def __init__(
+        self, site: Site, bench: Bench, folder: Path, open_bag: Callable[[Path], Film], beside: Callable[[Path], None]
+    ) -> None:
+        """Build the panel in the current container; it stays hidden until a run is opened.
+
+        Args:
+            site: The page.
+            bench: Where bags are read for statistics.
+            folder: Folder to save selections into.
+            open_bag: Shows an episode.
+            beside: Shows an episode beside the one that is open.
+        """
+        self._site, self._gui, self._bench = site, site.viser.gui, bench
+        self._folder, self._open_bag, self._show_beside = folder, open_bag, beside
         self.folder = self._gui.add_folder("Run", visible=False)
         self.entries: tuple[Entry, ...] = ()
         """Every episode of the run."""
+        self.marks: dict[str, str] = {}
+        """Episode to ``flag`` or ``out``."""
+        self.run: Path | None = None
+        """The folder."""
+        self._lock = threading.RLock()
         self._fresh: list[Any] = []
+        self._known: tuple[Path, ...] = ()
+        self._closed = threading.Event()
 
     def open(self, folder: Path, bags: tuple[Path, ...]) -> None:
-        """List the bags of a run and open the first one.
+        """List the bags of a run and open the first one that can be read; follow the run while it goes on.
 
         Raises:
-            RoboximError: When the first one cannot be opened.
+            RoboximError: When its results cannot be read.
         """
-        self.entries = list_entries(bags)
-        for handle in self._fresh:
-            handle.remove()
+        with self._lock:
+            following = self.run is not None
+            self.run, self._known, self.marks = folder, bags, {}
+            self.entries = list_entries(bags)
+            for handle in self._fresh:
+                handle.remove()
+            self._fresh = []
+            with self.folder:
+                self._build()
+            self.folder.visible = True
+        if not following:
+            threading.Thread(target=self._follow, name="run", daemon=True).start()
+        readable = [entry for entry in self.entries if entry.outcome != "unreadable"]
+        if readable:
+            self._open_bag(readable[0].path)
+
+    def close(self) -> None:
+        """Stop following."""
+        self._closed.set()
+
+    def _build(self) -> None:
         gui = self._gui
-        with self.folder:
-            counts = Counter(entry.outcome for entry in self.entries)
-            rows = [("folder", folder.name), ("episodes", len(self.entries)), *sorted(counts.items())]
-            self._filters = {
-                name: gui.add_dropdown(name.capitalize(), (ANY, *options), initial_value=ANY)
-                for name, options in (
-                    ("skill", sorted({entry.skill for entry in self.entries})),
-                    ("outcome", sorted({entry.ending for entry in self.entries})),
-                )
-            }
-            self._choice = gui.add_dropdown("Open", self._names(), initial_value=self._names()[0])
-            self._told = gui.add_html("")
-            facts = gui.add_html(markup.facts(rows, "run-facts"))
-        for one in self._filters.values():
-            one.on_update(lambda _: self._filter())
-        self._choice.on_update(lambda event: self._open(str(event.target.value)) if event.client else None)
-        self._fresh = [*self._filters.values(), self._choice, self._told, facts]
-        self.folder.visible = True
-        self._open_bag(self.entries[0].path)
+        self._facts = gui.add_html("")
+        self._skill: Any = gui.add_dropdown("Skill", (ANY,), initial_value=ANY)
+        self._ending: Any = gui.add_dropdown("Outcome", (ANY,), initial_value=ANY)
+        self._words = gui.add_text("Instruction has", initial_value="")
+        self._choice: Any = gui.add_dropdown("Episode", self._names(self.entries), initial_value=None)
+        acts = gui.add_button_group("Then", ("Open", "Beside"))
+        marks = gui.add_button_group("Mark", ("Leave out", "Flag", "Unmark"))
+        self._told = gui.add_html("")
+        more = gui.add_folder("Selection, distributions", expand_by_default=False)
+        with more:
+            self._name = gui.add_text("Save as", initial_value="my_selection")
+            save = gui.add_button("Save the selection")
+            measure = gui.add_button("Measure all episodes")
+            self._measured = gui.add_html("")
+            self._plots = gui.add_folder("Distributions", visible=False)
+        for one in (self._skill, self._ending, self._words):
+            one.on_update(lambda _: self._list())
+        self._choice.on_update(lambda event: self.open_named(str(event.target.value)) if event.client else None)
+        acts.on_click(lambda event: self.open_named(self._chosen(), beside=event.target.value == "Beside"))
+        marks.on_click(lambda event: self.mark(self._chosen(), str(event.target.value)))
+        save.on_click(lambda _: self._save())
+        measure.on_click(lambda _: self._measure())
+        self._fresh = [
+            self._facts, self._skill, self._ending, self._words, self._choice, acts, marks, self._told, more,
+        ]  # fmt: skip
+        self._list()
 
-    def _chosen(self) -> tuple[Entry, ...]:
-        skill, ending = self._filters["skill"].value, self._filters["outcome"].value
-        return tuple(entry for entry in self.entries if skill in (ANY, entry.skill) and ending in (ANY, entry.ending))
+    # ---------------------------------------------------------------- listing
 
-    def _names(self) -> tuple[str, ...]:
-        chosen = self._chosen() if self._fresh else self.entries
-        return tuple(f"{entry.name} | {entry.ending} | {entry.instruction}" for entry in chosen) or ("none",)
+    def shown(self) -> tuple[Entry, ...]:
+        """Return the episodes that pass the filters."""
+        skill, ending, words = self._skill.value, self._ending.value, str(self._words.value).lower()
+        return tuple(
+            entry
+            for entry in self.entries
+            if skill in (ANY, entry.skill) and ending in (ANY, entry.ending) and words in entry.instruction.lower()
+        )
 
-    def _filter(self) -> None:
-        self._choice.options = self._names()
+    def _names(self, entries: tuple[Entry, ...]) -> tuple[str, ...]:
+        return tuple(
+            f"{MARKS[self.marks.get(entry.name, '')]}{entry.name} | {entry.ending} | {entry.instruction}"
+            for entry in entries
+        ) or ("none",)
 
-    def _open(self, name: str) -> None:
-        wanted = name.partition(" | ")[0]
-        found = [entry for entry in self.entries if entry.name == wanted]
-        if not found:
+    def _list(self) -> None:
+        with self._lock:
+            for handle, options in (
+                (self._skill, {entry.skill for entry in self.entries if entry.skill}),
+                (self._ending, {entry.ending for entry in self.entries}),
+            ):
+                wanted = (ANY, *sorted(options))
+                if tuple(handle.options) != wanted:
+                    handle.options = wanted
+            names = self._names(self.shown())
+            if tuple(self._choice.options) != names:
+                self._choice.options = names
+            self._facts.content = markup.facts(self._rows(), "run-facts")
+
+    def _rows(self) -> list[tuple[str, object]]:
+        assert self.run is not None
+        counts = Counter(entry.outcome for entry in self.entries)
+        judged = counts["success"] + counts["failure"] + counts["error"]
+        rows: list[tuple[str, object]] = [("folder", self.run.name), ("episodes", len(self.entries))]
+        if judged:
+            rate = success_rate(counts["success"], judged)
+            share = 100 * rate.successes / judged
+            rows.append(
+                ("success", f"{share:.0f} % of {judged}, 95 %: {100 * rate.low:.0f} to {100 * rate.high:.0f} %")
+            )
+        reasons = Counter(entry.reason for entry in self.entries if entry.reason and entry.outcome != "unreadable")
+        rows += [(f"not: {reason}", count) for reason, count in reasons.most_common(6)]
+        if counts["unreadable"]:
+            rows.append(("unreadable", counts["unreadable"]))
+        if self.marks:
+            left_out = sum(mark == "out" for mark in self.marks.values())
+            rows.append(("marked", f"{left_out} left out, {len(self.marks) - left_out} flagged"))
+        return rows
+
+    def _follow(self) -> None:
+        """Add the episodes that a running run finishes."""
+        while not self._closed.wait(WATCH_S):
+            with self._lock:
+                run, known = self.run, self._known
+                if run is None:
+                    continue
+                bags = bags_of(run)
+                if bags == known:
+                    continue
+                there = {entry.path: entry for entry in self.entries}
+                try:
+                    new = {entry.path: entry for entry in list_entries([bag for bag in bags if bag not in there])}
+                except RoboximError as error:
+                    self._say(str(error), alert=True)
+                    continue
+                self._known = bags
+                self.entries = tuple((there | new)[bag] for bag in bags)
+                self._list()
+                if new:
+                    self._say(f"new: {', '.join(entry.name for entry in new.values())}")
+
+    # ---------------------------------------------------------------- acting on one
+
+    def _chosen(self) -> str:
+        return str(self._choice.value)
+
+    def _entry(self, name: str) -> Entry | None:
+        wanted = name.removeprefix(MARKS["flag"]).removeprefix(MARKS["out"]).partition(" | ")[0]
+        return next((entry for entry in self.entries if entry.name == wanted), None)
+
+    def open_named(self, name: str, *, beside: bool = False) -> None:
+        """Open an episode of the list, or show it beside the one that is open."""
+        entry = self._entry(name)
+        if entry is None:
             return
         try:
-            self._open_bag(found[0].path)
-            self._told.content = ""
+            if beside:
+                self._show_beside(entry.path)
+            else:
+                self._open_bag(entry.path)
+            self._say("")
         except RoboximError as error:
-            self._told.content = markup.paragraph(str(error), "run-error", alert=True)
+            self._say(str(error), alert=True)
+
+    def mark(self, name: str, what: str) -> None:
+        """Leave an episode out of the selection, flag it, or take its mark away."""
+        entry = self._entry(name)
+        if entry is None:
+            return
+        with self._lock:
+            self.marks.pop(entry.name, None)
+            if what != "Unmark":
+                self.marks[entry.name] = "out" if what == "Leave out" else "flag"
+            place = self.shown().index(entry) if entry in self.shown() else 0
+            self._list()
+            self._choice.value = self._names(self.shown())[place]
+
+    def save(self, name: str) -> Path | None:
+        """Save the selection; returns the file, or None if it is not possible, which the panel says."""
+        assert self.run is not None
+        out = [episode for episode, mark in self.marks.items() if mark == "out"]
+        flagged = [episode for episode, mark in self.marks.items() if mark == "flag"]
+        text = selection_text(out, flagged, self.run.name, len(self.entries))
+        try:
+            file = save_selection(self._folder, name, text)
+        except (RoboximError, OSError) as error:
+            self._measured.content = markup.paragraph(str(error), "selection", alert=True)
+            return None
+        self._measured.content = markup.paragraph(
+            f"saved as {file.name}\nroboxim export lerobot {self.run.name} --where @{file.name} --out ...", "selection"
+        )
+        return file
+
+    def _save(self) -> None:
+        self.save(str(self._name.value))
+
+    # ---------------------------------------------------------------- all together
+
+    def measure(self) -> dict[str, Traits]:
+        """Read every listed episode and show distributions; returns the numbers by episode."""
+        found: dict[str, Traits] = {}
+        entries = [entry for entry in self.shown() if entry.outcome != "unreadable"]
+        for number, entry in enumerate(entries, start=1):
+            if self._closed.is_set():
+                break
+            try:
+                reader = BagReader(entry.path)
+                states = [tick.state for tick in reader.ticks(cameras=())]
+            except RoboximError as error:
+                self._say(str(error), alert=True)
+                continue
+            found[entry.name] = traits(states, reader.info.scene.tick_ns / 1e9)
+            if number % 10 == 0:
+                self._measured.content = markup.paragraph(f"{number} of {len(entries)} read", "selection")
+        self._show_traits(found)
+        return found
+
+    def _measure(self) -> None:
+        threading.Thread(target=self.measure, name="measure", daemon=True).start()
+
+    def _show_traits(self, found: dict[str, Traits]) -> None:
+        if not found:
+            return
+        ranked = sorted(found.items(), key=lambda item: -item[1].jerk_m_s3)[:8]
+        self._measured.content = markup.facts(
+            [("jerkiest", "rms of the tool's jerk"), *((n, f"{t.jerk_m_s3:.1f} m/s3") for n, t in ranked)], "selection"
+        )
+        with self._lock, self._plots:
+            for handle in tuple(self._plots._children.values()):
+                handle.remove()
+            lengths, edges = np.histogram([one.steps for one in found.values()], bins=min(20, len(found) + 1))
+            self._gui.add_uplot(
+                (edges[:-1].astype(float), lengths.astype(float)),
+                (uplot.Series(label="ticks"), uplot.Series(label="episodes", stroke="#1c7ed6", width=2)),
+                title="lengths", height=170,
+            )  # fmt: skip
+            places = np.array([one.start_m["target"] for one in found.values() if "target" in one.start_m])
+            if len(places):
+                order = np.argsort(places[:, 1])
+                line = uplot.Series(
+                    label="x [m]", stroke="#e8590c", width=0, points=uplot.Series_Points(show=True, size=6)
+                )
+                self._gui.add_uplot(
+                    (places[order, 1], places[order, 0]),
+                    (uplot.Series(label="y [m]"), line),
+                    title="start of the target", height=220, scales={"x": uplot.Scale(time=False)},
+                )  # fmt: skip
+        self._plots.visible = True
+
+    def _say(self, text: str, *, alert: bool = False) -> None:
+        self._told.content = markup.paragraph(text, "run-told", alert=alert)

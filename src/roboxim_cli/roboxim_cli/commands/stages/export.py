@@ -81,7 +81,8 @@ def _common() -> list[click.Parameter]:
         click.Option(
             ["--where"], multiple=True, metavar="CONDITION",
             help="Export episodes that meet a condition: KEY=VALUE[,VALUE...], KEY!=VALUE, KEY<NUMBER. Keys: skill, "
-            "object, target, target.color, camera, outcome, steps, cell, drawn.NAME, ... May be repeated.",
+            "object, target, target.color, camera, outcome, steps, episode, cell, drawn.NAME, ... May be repeated. "
+            "@FILE: the lines of a file, e.g. one that the studio saved.",
         ),
         click.Option(["--all", "everything"], is_flag=True, help="Include episodes that did not succeed."),
         click.Option(
@@ -161,13 +162,15 @@ def _export(
     from roboxim_cli.options import parse_counts, parse_size
     from roboxim_cli.printer import EventPrinter
     from roboxim_recorder.export import EXPORTERS
+    from roboxim_recorder.export.where import with_files
     from roboxim_runs.datasets.export import export_dataset
     from roboxim_runs.storage.store import local_sources, upload_dataset
 
     width, height = parse_size(size)
     config = EXPORTERS[name]().config(
         cameras=_camera_keys(cameras), image_width=width, image_height=height, split=parse_counts("--split", split),
-        only_successful=not everything, keep_recovered=keep_recovered or everything, **common, **own,
+        only_successful=not everything, keep_recovered=keep_recovered or everything,
+        where=with_files(common.pop("where")), **common, **own,
     )  # fmt: skip
     with EventPrinter() as printer, local_sources(source) as runs:
         report = export_dataset(

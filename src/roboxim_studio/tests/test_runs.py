@@ -1,0 +1,94 @@
+"""Runs, datasets and selections in the studio."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from roboxim_core.errors import InvalidRequestError
+from roboxim_recorder.export import EXPORTERS
+from roboxim_recorder.export.where import with_files
+from roboxim_runs.datasets.export import export_dataset
+from roboxim_studio.browser import wait_for
+from roboxim_studio.episode.choice import selection_text
+from roboxim_studio.episode.film import read_film
+from roboxim_studio.opening import Kind, recognise
+from roboxim_studio.sharing import share
+
+
+def test_new_episodes_of_a_running_run_appear(studio, run, tmp_path):
+    copy = tmp_path / "run"
+    shutil.copytree(run, copy)
+    studio.open(recognise(str(copy)))
+    assert len(studio.files.entries) == 1
+    first = studio.files.entries[0]
+    later = copy / "episodes" / "later"
+    shutil.copytree(first.path, tmp_path / "later")
+    (tmp_path / "later").rename(later)
+    wait_for(lambda: len(studio.files.entries) == 2, "the new episode", 60)
+    assert studio.episode.film.title == first.name
+
+
+def test_a_selection_file_leaves_episodes_out_of_exports_and_touches_no_bag(studio, run, tmp_path):
+    studio.files._folder = tmp_path
+    studio.open(recognise(str(run)))
+    (entry,) = studio.files.entries
+    before = {file: file.stat().st_mtime_ns for file in run.rglob("*")}
+    studio.files.mark(entry.name, "Leave out")
+    file = studio.files.save("mine")
+    assert with_files([f"@{file}"]) == (f"episode!={entry.name}",)
+    assert {file: file.stat().st_mtime_ns for file in run.rglob("*")} == before
+    studio.files.mark(entry.name, "Unmark")
+    assert not studio.files.marks
+    assert studio.files.save("../x") is None
+    assert not list(tmp_path.parent.glob("x.where"))
+
+
+def test_a_line_of_a_selection_file_that_is_no_condition_is_named(tmp_path):
+    file = tmp_path / "a.where"
+    file.write_text(selection_text(["b", "a"], ["c"], "run", 3) + "episode\n")
+    with pytest.raises(InvalidRequestError, match="a.where line 5"):
+        with_files([f"@{file}"])
+
+
+def test_statistics_and_filters(studio, run):
+    studio.open(recognise(str(run)))
+    (found,) = studio.files.measure().values()
+    assert found.steps == len(studio.episode.film)
+    assert 0 < found.jerk_m_s3 < 1e3
+    assert found.start_m["target"] == pytest.approx(studio.episode.film.states[0].entity("target").pose.position[:2])
+    studio.files._words.value = "no such words"
+    studio.files._list()
+    assert studio.files.shown() == ()
+
+
+def test_an_exported_dataset_opens_with_pictures_and_curves(studio, run, tmp_path):
+    export_dataset("rlds", [run], tmp_path / "rlds", EXPORTERS["rlds"]().config(val_fraction=0.0))
+    opened = recognise(str(tmp_path / "rlds"))
+    assert opened.kind == Kind.DATASET
+    studio.open(opened)
+    panel = studio.dataset
+    assert len(panel.dataset) == 1
+    assert panel._pictures.complete.wait(60)
+    film = read_film(next((run / "episodes").iterdir()), in_background=False)
+    panel.step(3)
+    assert panel.episode.instruction == film.info.task.instruction
+    shown = panel._pictures.at(3)
+    assert set(shown) == set(panel.episode.cameras)
+    difference = shown["workspace"].astype(int) - film.pictures.at(3)["workspace"]
+    assert np.abs(difference).mean() < 6  # both are JPEG
+
+
+def test_a_shared_episode_plays_offline_and_asks_nobody(bag, chromium, studio, tmp_path):
+    film = read_film(bag)
+    file = share(film, studio.library, tmp_path / "episode.html")
+    assert str(tmp_path) not in file.read_text()
+    chromium.requests.clear()
+    chromium.errors.clear()
+    chromium.open(file.as_uri())
+    chromium.wait("document.querySelector('canvas')")
+    chromium.wait(f"document.querySelector('#episode').innerText.includes({film.info.task.instruction!r})")
+    chromium.wait("[...document.querySelectorAll('input')].some(one => parseFloat(one.value) > 0.3)", 60)  # it plays
+    asked = [url for url in chromium.requests if not url.startswith(("data:", "blob:", "about:"))]
+    assert asked == [file.as_uri()]
+    assert not chromium.errors
