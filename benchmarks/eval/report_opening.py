@@ -31,6 +31,7 @@ from roboxim_eval.experiments.cost import FILMS
 from roboxim_eval.report.episodes import Episode
 from roboxim_eval.report.evaluation import PolicyRun, Report, write_report
 from roboxim_eval.report.experiment import ExperimentPage, experiment_page
+from roboxim_eval.report.films import Film, film_strip
 from roboxim_eval.testing import planted_card, shipped
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -103,8 +104,8 @@ def _opening_s(browser: str, page: Path, folder: Path) -> float:
             server.shutdown()
 
 
-def _noise(rng: np.random.Generator) -> list[np.ndarray]:
-    return list(rng.integers(0, 255, FRAMES, np.uint8).astype(np.uint8))
+def _noise(rng: np.random.Generator) -> Film:
+    return film_strip(list(rng.integers(0, 255, FRAMES, np.uint8)))
 
 
 def _drawn(rng: np.random.Generator) -> dict[str, str]:

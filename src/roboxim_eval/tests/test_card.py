@@ -14,9 +14,10 @@ from roboxim_eval.experiments.card_checks import check_card
 from roboxim_eval.experiments.card_schema import CARDS, schema_file, schema_of, schema_text
 from roboxim_eval.experiments.models import compare_models
 from roboxim_eval.report.benchmark import benchmark_page
-from roboxim_eval.report.experiment import ExperimentPage, experiment_page, score_rows
+from roboxim_eval.report.experiment import ExperimentPage, experiment_page
 from roboxim_eval.report.markdown import benchmark_markdown, experiment_markdown
 from roboxim_eval.report.models import models_page
+from roboxim_eval.report.scores import score_rows
 from roboxim_eval.testing import planted_card, shipped
 
 

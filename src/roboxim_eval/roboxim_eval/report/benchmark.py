@@ -21,14 +21,13 @@ from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_car
 from roboxim_eval.report.charts.forest import RATES, ForestRow, ratio_scale
 from roboxim_eval.report.episodes import links_into
 from roboxim_eval.report.experiment import (
-    behind_scores,
     by_level,
     heat_maps,
     primary_forest,
     provenance_of,
-    score_rows,
 )
 from roboxim_eval.report.page import render
+from roboxim_eval.report.scores import behind_scores, score_rows
 from roboxim_eval.statistics.tables import Arm
 
 

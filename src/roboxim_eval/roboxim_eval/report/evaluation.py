@@ -17,7 +17,7 @@ from roboxim_core.episode import EpisodeResult
 from roboxim_core.seeds import CELL, CELL_NUMBER
 from roboxim_eval.experiments.cells import named_cell
 from roboxim_eval.grouping import grouped
-from roboxim_eval.report.charts.heat_map import HeatMap, difference_map, rate_map
+from roboxim_eval.report.charts.heat_map import HeatMap, arm_maps
 from roboxim_eval.report.charts.table_map import Place
 from roboxim_eval.report.episodes import Episode, any_of, episodes_json, episodes_link, recorded_factors
 from roboxim_eval.report.films import Film
@@ -305,22 +305,11 @@ def _heat_maps(runs: Sequence[PolicyRun]) -> list[HeatMap]:
     if len(cells) < max(2, len(names)) or len(factors) > 1 or len(min(factors)) < 2:
         return []
     named = {cell.key: name for name, cell in cells.items()}
-    fields = list(cells.values())
-
-    def of(run: PolicyRun) -> HeatMap:
-        return rate_map(run.policy, fields, counts[run.policy],
-                        lambda cell: episodes_link(arm=run.policy, cell=named[cell]))  # fmt: skip
-
     counts = {run.policy: _by_cell(run, {name: cell.key for name, cell in cells.items()}) for run in runs}
-    maps = [of(run) for run in runs]
-    if len(runs) > 1:
-        first, second = (run.policy for run in runs[:2])
-        both = any_of((first, second))
-        maps.append(difference_map(
-            f"{first} - {second}, points", fields, counts[first], counts[second],
-            lambda cell: episodes_link(arm=both, cell=named[cell]),
-        ))  # fmt: skip
-    return maps
+    pair = (runs[0].policy, runs[1].policy) if len(runs) > 1 else None
+    return arm_maps(
+        list(cells.values()), counts, pair, lambda arms, cell: episodes_link(arm=any_of(arms), cell=named[cell])
+    )
 
 
 def _by_cell(run: PolicyRun, keys: Mapping[str, str]) -> dict[str, Count]:

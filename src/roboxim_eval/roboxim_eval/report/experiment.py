@@ -7,8 +7,7 @@ too.
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import PurePath
 from typing import Any
@@ -21,7 +20,7 @@ from roboxim_eval.experiments.design import Design
 from roboxim_eval.experiments.proving.proofs import PICTURES
 from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
 from roboxim_eval.report.charts.forest import RATES, ForestRow, Scale, difference_scale
-from roboxim_eval.report.charts.heat_map import HeatMap, difference_map, rate_map
+from roboxim_eval.report.charts.heat_map import HeatMap, arm_maps
 from roboxim_eval.report.charts.table_map import Place
 from roboxim_eval.report.episodes import (
     Episode,
@@ -42,32 +41,15 @@ from roboxim_eval.report.parts import (
     map_view,
     scene_patterns,
 )
+from roboxim_eval.report.scores import score_rows, substitutions
 from roboxim_eval.report.vocabulary import vocabulary
 from roboxim_eval.statistics.paired import newcombe
 from roboxim_eval.statistics.rates import success_rate
 from roboxim_eval.statistics.replicates import Interval, condition_rate
 from roboxim_eval.statistics.tables import Arm, Count, total
 
-SCORES = {
-    "absolute": ("absolute, u", "success in held-out cells", "success of the leave-out condition in held-out cells; "
-                 "it ranks models"),
-    "baseline": ("baseline, s", "success of the baseline there", "success of the baseline in the same cells"),
-    "gap": ("gap, s - u", "what holding out costs", "what holding out costs; the primary test"),
-    "relative": ("relative, u / s", "share of the baseline's success that is left", "the share of the baseline's "
-                 "success that is left"),
-    "words": ("words, u - b", "what the words are worth", "success lost without an instruction; if it is small, the "
-              "scene suffices"),
-    "competence": ("competence", "difference where both have trained", "leave-out minus baseline in cells that both "
-                   "have seen; far from 0, the gap is not due to the held-out cells alone"),
-    "substitution": ("substitution", "failures that did something else it was taught", "share of failed held-out "
-                     "episodes that satisfied another instruction of the training; 0 says nothing where no scene "
-                     "allows one"),
-}  # fmt: skip
-"""Score of a card to its name in tables, what a reader calls it, and what it says."""
 MANY = 6
 """Number of comparisons from which a page lists them by verdict, with the sentences folded."""
-POINTS = ("gap", "words", "competence")
-"""Scores that are differences, shown in points."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,7 +94,7 @@ def experiment_page(page: ExperimentPage) -> str:
         kinds=_kinds(card),
         margin=f" within {100 * card.experiment.config.decide.margin:.0f} points",
         scores=list(score_rows(card, link)),
-        substitutions=_substitutions(card, link),
+        substitutions=substitutions(card, link),
         rates=_rates(arms, link),
         heat=heat_maps(card, design, arms, link),
         by_level=by_level(design, arms, link),
@@ -210,76 +192,6 @@ def _proofs(card: Card) -> tuple[list[str], list[tuple[str, str]]]:
     return whole, rest
 
 
-def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
-    """Yield names, value, interval, meaning and link of each score; a refused or unmeasured one says why.
-
-    Args:
-        card: The card.
-        link: Makes the links.
-    """
-    found = card.scores or {}
-    behind = behind_scores(card) if found else {}
-    for key, (name, plain, meaning) in SCORES.items():
-        if key not in found:
-            continue
-        value = found[key]
-        shown, interval = "-", "not measured"
-        if key == "relative" and value is None:
-            shown, interval = "refused", found["relative_refused"]
-        elif key == "substitution" and value is not None:
-            if value["failed"]:
-                shown, interval = _score(value["rate"], points=False)
-                if not value["rate"][0]:  # the task files tell, which a card does not hold
-                    interval += ", if scenes allow another instruction"
-            else:
-                interval = "no held-out episode failed"
-        elif value is not None:
-            shown, interval = _score(value, points=key in POINTS)
-        to = "" if shown == "-" else link(**behind[key])
-        yield {"name": name, "plain": plain, "value": shown, "interval": interval, "meaning": meaning, "link": to}
-
-
-def behind_scores(card: Card) -> dict[str, dict[str, str]]:
-    """Return the properties of the episodes that each score of a card is from."""
-    config, cells = card.experiment.config, design_of_card(card).cells
-    primary = config.primary
-    assert primary is not None, "a card has no scores otherwise"
-    both, blind = any_of((primary.first, primary.second)), any_of((primary.first, config.blind))
-    unseen, seen = (any_of(cell.key for cell in chosen(cells, where)) for where in ("unseen", "seen"))
-    return {
-        "absolute": {"arm": primary.first, "cell": unseen},
-        "baseline": {"arm": primary.second, "cell": unseen},
-        "gap": {"arm": both, "cell": unseen},
-        "relative": {"arm": both, "cell": unseen},
-        "words": {"arm": blind, "cell": unseen},
-        "competence": {"arm": both, "cell": seen},
-        "substitution": {"arm": primary.first, "cell": unseen, "outcome": "failure"},
-    }
-
-
-def _score(value: Sequence[float | None], *, points: bool) -> tuple[str, str]:
-    middle, low, high = value
-    if low is None and high is None:
-        return f"{round(100 * (middle or 0)) + 0:+d} points" if points else f"{middle:.2f}", "none from one training"
-    if points:
-        shown = ["unbounded" if x is None else f"{round(100 * x) + 0:+d}" for x in (low, high)]
-        return f"{round(100 * (middle or 0)) + 0:+d} points", f"{shown[0]} to {shown[1]}"
-    shown = ["unbounded" if x is None else f"{x:.2f}" for x in (low, high)]
-    return "unbounded" if middle is None else f"{middle:.2f}", f"{shown[0]} to {shown[1]}"
-
-
-def _substitutions(card: Card, link: Link) -> list[tuple[str, str, int, int, str]]:
-    """Return held-out cell, what was done instead, of how many failures, and their link, most frequent first."""
-    judged, primary = card.judged_again or (), card.experiment.config.primary
-    failed = Counter(row.cell for row in judged)
-    found = Counter((row.cell, sorted(row.satisfied)[0]) for row in judged if row.satisfied)
-    arm = primary.first if primary else ""
-    return [
-        (cell, instead, count, failed[cell], link(arm=arm, cell=cell, outcome="failure"))
-        for (cell, instead), count in found.most_common(12)
-    ]
-
-
 def _rates(arms: Mapping[str, Arm], link: Link) -> list[tuple[str, Count, Interval, str, str]]:
     return [
         (name, arm.pooled, condition_rate(arm), link(arm=name), link(arm=name, outcome="error"))
@@ -337,30 +249,10 @@ def heat_maps(card: Card, design: Design, arms: Mapping[str, Arm], link: Link) -
     """
     if len(design.cells) < 2:
         return []
-    maps = _rate_maps(design, arms, link)
     primary = card.experiment.config.primary
-    if primary is not None and primary.first != primary.second:
-        both = any_of((primary.first, primary.second))
-        maps.append(difference_map(
-            f"{primary.first} - {primary.second}, points", design.cells, arms[primary.first].by_cell,
-            arms[primary.second].by_cell, lambda cell: link(arm=both, cell=cell),
-        ))  # fmt: skip
-    return maps
-
-
-def _rate_maps(design: Design, arms: Mapping[str, Arm], link: Link) -> list[HeatMap]:
-    """Return the heat map of each condition.
-
-    Args:
-        design: The experiment.
-        arms: Condition to its outcomes.
-        link: Makes the links of the fields.
-    """
-
-    def of(name: str, arm: Arm) -> HeatMap:
-        return rate_map(name, design.cells, arm.by_cell, lambda cell: link(arm=name, cell=cell))
-
-    return [of(name, arm) for name, arm in arms.items()]
+    pair = (primary.first, primary.second) if primary is not None and primary.first != primary.second else None
+    counts = {name: arm.by_cell for name, arm in arms.items()}
+    return arm_maps(design.cells, counts, pair, lambda names, cell: link(arm=any_of(names), cell=cell))
 
 
 def _forests(card: Card, design: Design, arms: Mapping[str, Arm], link: Link) -> list[dict[str, Any]]:

@@ -9,7 +9,8 @@ from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
 from roboxim_eval.experiments.cells import Cell
 from roboxim_eval.report.benchmark import benchmark_rows
-from roboxim_eval.report.experiment import provenance_of, score_rows
+from roboxim_eval.report.experiment import provenance_of
+from roboxim_eval.report.scores import score_rows
 from roboxim_eval.statistics.replicates import condition_rate
 from roboxim_eval.statistics.tables import Arm
 

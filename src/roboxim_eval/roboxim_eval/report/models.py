@@ -8,8 +8,8 @@ from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.models import Models
 from roboxim_eval.report.charts.forest import RATES, ForestRow, difference_scale
 from roboxim_eval.report.episodes import any_of, links_into
-from roboxim_eval.report.experiment import score_rows
 from roboxim_eval.report.page import render
+from roboxim_eval.report.scores import score_rows
 
 
 def models_page(models: Models, cards: Mapping[str, Card], pages: Mapping[str, str] | None = None) -> str:

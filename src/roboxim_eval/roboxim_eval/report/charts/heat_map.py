@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from roboxim_eval.experiments.cells import Cell
 from roboxim_eval.statistics.tables import Count
@@ -88,6 +89,26 @@ def difference_map(
         )  # fmt: skip
 
     return _map(title, cells, field)
+
+
+def arm_maps(
+    cells: Sequence[Cell], counts: Mapping[str, Mapping[str, Count]], pair: tuple[str, str] | None,
+    link: Callable[[tuple[str, ...], str], str],
+) -> list[HeatMap]:  # fmt: skip
+    """Return the rates of each arm, and the differences of two of them.
+
+    Args:
+        cells: All cells.
+        counts: Arm to its counts by key of a cell.
+        pair: The arms of the differences; none: no such map.
+        link: Arms and key of a cell to where its field leads.
+    """
+    maps = [rate_map(arm, cells, mine, partial(link, (arm,))) for arm, mine in counts.items()]
+    if pair is not None:
+        first, second = pair
+        heading = f"{first} - {second}, points"
+        maps.append(difference_map(heading, cells, counts[first], counts[second], partial(link, pair)))
+    return maps
 
 
 def _held_out(cell: Cell) -> str:

@@ -1,0 +1,100 @@
+"""The scores of an experiment's card: names, values, what they say, and the episodes behind them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+from roboxim_eval.experiments.card import Card
+from roboxim_eval.experiments.card_checks import design_of_card
+from roboxim_eval.experiments.cells import chosen
+from roboxim_eval.report.episodes import Link, any_of, no_link
+
+SCORES = {
+    "absolute": ("absolute, u", "success in held-out cells", "success of the leave-out condition in held-out cells; "
+                 "it ranks models"),
+    "baseline": ("baseline, s", "success of the baseline there", "success of the baseline in the same cells"),
+    "gap": ("gap, s - u", "what holding out costs", "what holding out costs; the primary test"),
+    "relative": ("relative, u / s", "share of the baseline's success that is left", "the share of the baseline's "
+                 "success that is left"),
+    "words": ("words, u - b", "what the words are worth", "success lost without an instruction; if it is small, the "
+              "scene suffices"),
+    "competence": ("competence", "difference where both have trained", "leave-out minus baseline in cells that both "
+                   "have seen; far from 0, the gap is not due to the held-out cells alone"),
+    "substitution": ("substitution", "failures that did something else it was taught", "share of failed held-out "
+                     "episodes that satisfied another instruction of the training; 0 says nothing where no scene "
+                     "allows one"),
+}  # fmt: skip
+"""Score of a card to its name in tables, what a reader calls it, and what it says."""
+POINTS = ("gap", "words", "competence")
+"""Scores that are differences, shown in points."""
+
+
+def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
+    """Yield names, value, interval, meaning and link of each score; a refused or unmeasured one says why.
+
+    Args:
+        card: The card.
+        link: Makes the links.
+    """
+    found = card.scores or {}
+    behind = behind_scores(card) if found else {}
+    for key, (name, plain, meaning) in SCORES.items():
+        if key not in found:
+            continue
+        value = found[key]
+        shown, interval = "-", "not measured"
+        if key == "relative" and value is None:
+            shown, interval = "refused", found["relative_refused"]
+        elif key == "substitution" and value is not None:
+            if value["failed"]:
+                shown, interval = _score(value["rate"], points=False)
+                if not value["rate"][0]:  # the task files tell, which a card does not hold
+                    interval += ", if scenes allow another instruction"
+            else:
+                interval = "no held-out episode failed"
+        elif value is not None:
+            shown, interval = _score(value, points=key in POINTS)
+        to = "" if shown == "-" else link(**behind[key])
+        yield {"name": name, "plain": plain, "value": shown, "interval": interval, "meaning": meaning, "link": to}
+
+
+def behind_scores(card: Card) -> dict[str, dict[str, str]]:
+    """Return the properties of the episodes that each score of a card is from."""
+    config, cells = card.experiment.config, design_of_card(card).cells
+    primary = config.primary
+    assert primary is not None, "a card has no scores otherwise"
+    both, blind = any_of((primary.first, primary.second)), any_of((primary.first, config.blind))
+    unseen, seen = (any_of(cell.key for cell in chosen(cells, where)) for where in ("unseen", "seen"))
+    return {
+        "absolute": {"arm": primary.first, "cell": unseen},
+        "baseline": {"arm": primary.second, "cell": unseen},
+        "gap": {"arm": both, "cell": unseen},
+        "relative": {"arm": both, "cell": unseen},
+        "words": {"arm": blind, "cell": unseen},
+        "competence": {"arm": both, "cell": seen},
+        "substitution": {"arm": primary.first, "cell": unseen, "outcome": "failure"},
+    }
+
+
+def _score(value: Sequence[float | None], *, points: bool) -> tuple[str, str]:
+    middle, low, high = value
+    if low is None and high is None:
+        return f"{round(100 * (middle or 0)) + 0:+d} points" if points else f"{middle:.2f}", "none from one training"
+    if points:
+        shown = ["unbounded" if x is None else f"{round(100 * x) + 0:+d}" for x in (low, high)]
+        return f"{round(100 * (middle or 0)) + 0:+d} points", f"{shown[0]} to {shown[1]}"
+    shown = ["unbounded" if x is None else f"{x:.2f}" for x in (low, high)]
+    return "unbounded" if middle is None else f"{middle:.2f}", f"{shown[0]} to {shown[1]}"
+
+
+def substitutions(card: Card, link: Link) -> list[tuple[str, str, int, int, str]]:
+    """Return held-out cell, what was done instead, of how many failures, and their link, most frequent first."""
+    judged, primary = card.judged_again or (), card.experiment.config.primary
+    failed = Counter(row.cell for row in judged)
+    found = Counter((row.cell, sorted(row.satisfied)[0]) for row in judged if row.satisfied)
+    arm = primary.first if primary else ""
+    return [
+        (cell, instead, count, failed[cell], link(arm=arm, cell=cell, outcome="failure"))
+        for (cell, instead), count in found.most_common(12)
+    ]
