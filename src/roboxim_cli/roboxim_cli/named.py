@@ -35,6 +35,8 @@ class Named(click.ParamType[str]):
             ConfigError: When the name is unknown; the message suggests the nearest.
         """
         text = str(value)
+        if self.kind == "skill" and ".py" in text:
+            return text  # a skill of a file, which whoever loads it checks
         if not text or is_path(text) or ":" in text or "=" in text or text.endswith(".py"):
             return text
         known = self._known()

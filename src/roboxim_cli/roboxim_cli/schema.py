@@ -92,7 +92,7 @@ def _special(cls: type[Any], properties: dict[str, Any], defs: dict[str, Any]) -
 
     if cls is not TaskConfig:
         return {}
-    properties["skill"]["enum"] = list(SKILLS)
+    properties["skill"] = {"anyOf": [{"enum": list(SKILLS)}, {"type": "string", "pattern": r"\.py:\w+$"}]}
     sections = {name: _typed(COMPONENTS[name].Config, defs) for name in COMPONENTS}
     properties["reset"] |= {"properties": sections, "additionalProperties": False}
     rules = []

@@ -36,6 +36,7 @@ from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.fixed_scene import FIXED, fixed_task_config
 from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.skills.from_file import is_skill_file, load_skill_file
 from roboxim_tasks.task_config import ObjectConfig, TaskConfig
 
 DEFAULT_TASK = "pick_cube"
@@ -61,6 +62,9 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
         raise ConfigError(f"{source} is not valid: expected a mapping of keys, got {type(data).__name__}")
     document, library = Document(source, data), library or ModelLibrary()
     config: TaskConfig = document.build(data, TaskConfig, ())
+    if given := config.skill_file or (config.skill if is_skill_file(config.skill) else ""):
+        with document.section(("skill",)):
+            config = replace(config, skill=load_skill_file(given), skill_file=given)
     document.require(("skill",), config.skill, SKILLS)
     skill = SKILLS[config.skill]
     for role in config.objects:
@@ -267,7 +271,7 @@ def task_mix(data: Any, *, source: str = "task mix", library: ModelLibrary | Non
     used = {name: (number, place) for number, cell in enumerate(mix.cells) for place, name in enumerate(cell.tasks)}
     tasks = {}
     for name, (number, place) in used.items():
-        if name in SKILLS and name not in config_names("tasks"):
+        if is_skill_file(name) or (name in SKILLS and name not in config_names("tasks")):
             tasks[name] = {"skill": name}
             continue
         with document.section(("cells", number, "tasks", place)):

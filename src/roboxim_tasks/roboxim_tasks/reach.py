@@ -37,7 +37,23 @@ def graspable(context: ResetContext, role: str, lift_m: float = LIFT_M) -> Const
         grasps = grasp_poses(context.library.entity_model(spec), pose_object, home)
         return any(reaches(context, retreated(g, APPROACH_M), g, shifted(g, lift_m)) for g in grasps)
 
-    return Constraint(name=f"{role}_reachable", holds=holds)
+    def why(scene: SceneSpec) -> str:
+        spec = scene.entity(entity)
+        home = context.arm.fk(context.arm.model.home)
+        pose_object = scene.robot.pose.inverse() @ spec.pose
+        grasps = grasp_poses(context.library.entity_model(spec), pose_object, home)
+        missing = [
+            max(context.arm.ik_near(p, context.arm.model.home).position_error_m for p in (g, shifted(g, lift_m)))
+            for g in grasps
+        ]
+        x, y, z = pose_object.position
+        nearest = 1000.0 * min(missing, default=0.0)
+        text = f"the nearest of {len(missing)} grasps stays {nearest:.0f} mm short"
+        if nearest < 1.0:
+            text = f"none of {len(missing)} grasps keeps {LIMIT_MARGIN_RAD:g} rad from the joints' limits all the way"
+        return f"{text}, with the object at ({x:.2f}, {y:.2f}, {z:.2f}) in the robot's base"
+
+    return Constraint(name=f"{role}_reachable", holds=holds, why=why)
 
 
 def start_clear(context: ResetContext) -> Constraint:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.rates import DEFAULT_RATE_HZ
@@ -83,8 +83,12 @@ class DistractorConfig:
 class TaskConfig:
     """A YAML file of ``config/tasks`` that describes one skill; see `TaskMix` for several skills."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("skill_file",)
+
     skill: str = "pick_up"
-    """Registered skill."""
+    """Registered skill, or ``path/to/file.py:Class``."""
+    skill_file: str = ""
+    """File of the skill, ``path/to/file.py:Class``, if it is not registered; ``skill`` may name it instead."""
     parameters: Any = None
     """The skill's parameters and thresholds that demonstrations must meet."""
     lenient: Any = None

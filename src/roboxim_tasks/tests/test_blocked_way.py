@@ -63,7 +63,7 @@ def test_a_scene_whose_direct_way_is_free_is_refused(problem, drawn, library):
     planner = NoPlanner(problem)
     planner.plan_to_pose = lambda *_: np.zeros((2, 7))
     solvability = Solvability(library, planner)
-    solvability.holds = lambda *_: True
+    solvability.refusal = lambda *_: None
     generator = EpisodeGenerator(library, solvability)
     config = replace(load_task_config("pick_up_blocked"), max_draws=5)
     seed = SeedPath(run_seed=3, purpose="test", index=1)

@@ -104,15 +104,30 @@ def check(targets: tuple[str, ...]) -> None:
 
 @command.command("new")
 @click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-def new(mesh: Path) -> None:
+@click.option("--unit", default="", metavar="m|cm|mm|in", help="Unit of the file; default: the one that fits a table.")
+@click.option("--up", default="", metavar="z|y", help="Axis of the file that points up; y writes a turned copy.")
+def new(mesh: Path, unit: str, up: str) -> None:
     r"""Print a draft YAML file for your MESH (GLB, OBJ, STL, ...); save it beside the mesh.
 
     \b
     roboxim assets new teapot.glb > teapot.yaml
-    """
-    from roboxim_runs.assets.check import starter
+    roboxim assets new teapot.stl --unit mm --up y > teapot.yaml
 
-    click.echo(starter(mesh), nl=False)
+    A terminal is asked for unit and axis; otherwise the size that they give is said on the error stream.
+    """
+    import sys
+
+    from roboxim_runs.assets.check import UPS, guessed_unit, size_text, starter
+
+    guess = unit or guessed_unit(mesh)
+    if sys.stdin.isatty() and not (unit and up):
+        for axis in UPS:
+            click.echo(f"{mesh.name} with {size_text(mesh, guess, axis)}", err=True)
+        guess = unit or click.prompt("unit", default=guess, err=True)
+        up = up or click.prompt("axis that points up", default="z", err=True)
+    else:
+        click.echo(f"{mesh.name}: {size_text(mesh, guess, up or 'z')}; else give --unit and --up", err=True)
+    click.echo(starter(mesh, guess, up or "z"), nl=False)
 
 
 @command.command("simplify")

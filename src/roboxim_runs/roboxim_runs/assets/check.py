@@ -14,7 +14,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.episode.start import MOVED_M, TURNED_RAD
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.check import LARGEST_M, Finding, check_object
 from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.hulls import hull_of, load_mesh
@@ -86,22 +86,73 @@ def _motion(client: BulletClient, model: ObjectModel, start: Pose, yaw_rad: floa
     return distance(pose, body.read(joints, joints)[0].pose)
 
 
-def starter(mesh: Path) -> str:
-    """Return a draft YAML file for a mesh, with guessed units, a mass, and a grasp from above if the mesh is narrow.
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+"""Unit of a mesh to its length [m]."""
+UPS = ("z", "y")
+"""Axis of a mesh that points up; RoboXim's objects have z."""
+
+
+def guessed_unit(mesh: Path) -> str:
+    """Return m if a mesh then fits on a table, else mm.
 
     Raises:
         ConfigError: When the mesh cannot be read or is flat.
     """
-    hull = hull_of(mesh)
-    scale = 0.001 if np.ptp(hull.bounds, axis=0).max() > LARGEST_M else 1.0
+    longest = float(np.ptp(hull_of(mesh).bounds, axis=0).max())
+    return "m" if longest <= LARGEST_M else "mm"
+
+
+def size_text(mesh: Path, unit: str, up: str) -> str:
+    """Return how large a mesh is with a unit and an up-axis, in words.
+
+    Raises:
+        ConfigError: When the mesh cannot be read, or a name is unknown.
+    """
+    for kind, name, known in (("unit", unit, tuple(UNITS)), ("up-axis", up, UPS)):
+        if name not in known:
+            raise ConfigError(f"unknown {kind} '{name}'; {one_of(known, name)}")
+    x, y, z = 1000.0 * UNITS[unit] * np.ptp(hull_of(mesh).bounds, axis=0)
+    wide, deep, high = (x, y, z) if up == "z" else (x, z, y)
+    return f"unit {unit}, {up} up: {wide:.0f} x {deep:.0f} mm, {high:.0f} mm high"
+
+
+def turned(mesh: Path) -> Path:
+    """Write a copy of a mesh whose y axis points up, with z up, beside it; return the copy.
+
+    Raises:
+        ConfigError: When the mesh cannot be read.
+    """
+    scene: Any = trimesh.load_scene(mesh, process=False)
+    scene.apply_transform(Pose.from_arrays((0, 0, 0), Rotation.from_euler("x", math.pi / 2)).matrix)
+    out = mesh.with_name(f"{mesh.stem}_z_up.glb")
+    out.write_bytes(scene.export(file_type="glb"))
+    return out
+
+
+def starter(mesh: Path, unit: str = "", up: str = "z") -> str:
+    """Return a draft YAML file for a mesh, with a mass, and a grasp from above if the mesh is narrow.
+
+    Args:
+        mesh: The mesh.
+        unit: One of `UNITS`; empty: see `guessed_unit`.
+        up: One of `UPS`; with y, a turned copy is written beside the mesh.
+
+    Raises:
+        ConfigError: When the mesh cannot be read or is flat, or a name is unknown.
+    """
+    chosen = unit or guessed_unit(mesh)
+    text = size_text(mesh, chosen, up)
+    file = turned(mesh) if up == "y" else mesh
+    hull, scale = hull_of(file), UNITS[chosen]
     low, high = hull.bounds * scale
     x, y = (high - low)[:2]
     center = ", ".join(f"{value:.4f}" for value in (low + high) / 2)
     mass = max(0.01, hull.volume * scale**3 * DENSITY)
     lines = [
         f"# What it is. Checked by: roboxim assets check {mesh.stem}.yaml",
+        f"# {text}; if that is wrong: roboxim assets new {mesh.name} --unit {'|'.join(UNITS)} --up {'|'.join(UPS)}",
         f"name: {mesh.stem.replace('_', ' ')}",
-        f"mesh: {mesh.name}",
+        f"mesh: {file.name}",
         f"mesh_scale: {scale:g}",
         f"mass: {mass:.2g}  # kg; a guess: weigh it",
     ]

@@ -134,7 +134,7 @@ class EpisodesConfig:
         if self.suite:
             version = load_yaml(named_config("suites", self.suite)).get("version", 0)
             return f"suite {Path(self.suite).stem}, version {version}"
-        return Path(self.task).stem or self.skill or DEFAULT_TASK
+        return Path(self.task).stem or self.skill.rpartition("/")[2] or DEFAULT_TASK
 
     def task_text(self) -> str:
         """Return the task configuration as YAML text.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -85,7 +86,8 @@ def task_text(
         target.setdefault("modifiers", {})["color"] = {"values": [color.strip() for color in colors.split(",")]}
     if reset:
         changed["reset"] = merged(changed.get("reset") or {}, reset)
-    text = str(yaml.safe_dump(data, sort_keys=False))
+    comments = "".join(f"{line}\n" for line in text.splitlines() if line.startswith("# ") and ": sha256 " in line)
+    text = comments + str(yaml.safe_dump(data, sort_keys=False))
     any_task_config(data, source=f"{source} with the command line's options")
     return text
 
@@ -161,6 +163,14 @@ def shares_text(mix: TaskMix, episodes: int) -> str:
     return f"{episodes} episodes: {', '.join([*shares, *more])}{hint}"
 
 
+def _digest_of(spec: str) -> str:
+    """Return the hash of a skill's file, and load it, so that its mistakes are found at once."""
+    from roboxim_tasks.skills.from_file import load_skill_file
+
+    load_skill_file(spec)
+    return hashlib.sha256(Path(spec.rpartition(":")[0] or spec).read_bytes()).hexdigest()
+
+
 def _words(text: str) -> list[str]:
     return list(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
 
@@ -168,6 +178,7 @@ def _words(text: str) -> list[str]:
 def _base(task: str, skills: Sequence[str], suite: str) -> tuple[str, str]:
     """Return a task configuration's text and its source."""
     from roboxim_tasks.skills import SKILLS
+    from roboxim_tasks.skills.from_file import is_skill_file
 
     if suite:
         if task or skills:
@@ -178,14 +189,19 @@ def _base(task: str, skills: Sequence[str], suite: str) -> tuple[str, str]:
     if not skills:
         return _read(named_config("tasks", task or DEFAULT_TASK))
     for skill in skills:
-        if skill not in SKILLS:
+        if skill not in SKILLS and not is_skill_file(skill):
             raise ConfigError(f"unknown skill '{skill}'; {one_of(SKILLS, skill)}")
+    files = [skill for skill in skills if is_skill_file(skill)]
+    digests = "".join(f"# {skill}: sha256 {_digest_of(skill)}\n" for skill in files)  # a changed file is another run
+    skills = [f"{Path(skill).absolute()}" if skill in files else skill for skill in skills]
     if len(skills) > 1:
         mix = {"cells": [{"tasks": list(skills)}]}
-        return str(yaml.safe_dump(mix)), f"skills {', '.join(skills)}"
+        return digests + str(yaml.safe_dump(mix)), f"skills {', '.join(skills)}"
     [skill] = skills
-    files = (folder / "tasks" / f"{skill}.yaml" for folder in config_dirs())
-    return next((_read(file) for file in files if file.is_file()), (f"skill: {skill}\n", f"skill '{skill}'"))
+    if files:
+        return f"{digests}skill: {skill}\n", f"skill '{skill}'"
+    own = (folder / "tasks" / f"{skill}.yaml" for folder in config_dirs())
+    return next((_read(file) for file in own if file.is_file()), (f"skill: {skill}\n", f"skill '{skill}'"))
 
 
 def _read(file: Path) -> tuple[str, str]:

@@ -35,6 +35,8 @@ class Constraint:
     """Whether the constraint is a quick check of free space: distractors are then placed so that it still holds."""
     each: bool = False
     """Whether the check is quick and concerns each object alone: it then runs while objects are being placed."""
+    why: Callable[[SceneSpec], str] | None = None
+    """Return why a refused scene violates the constraint, with a number; none: its name says it."""
 
 
 @dataclass(kw_only=True)
@@ -65,6 +67,10 @@ class ResetContext:
     """Placements drawn so far."""
     rejections: Counter[str] = field(default_factory=Counter)
     """Constraint to the number of placements that it has refused."""
+    refused: dict[str, SceneSpec] = field(default_factory=dict)
+    """Constraint to the newest scene that it has refused."""
+    causes: dict[str, Counter[str]] = field(default_factory=dict)
+    """Constraint to the causes of its refusals."""
     _streams: dict[str, np.random.Generator] = field(default_factory=dict)
 
     @property

@@ -12,7 +12,7 @@ from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import EntityState, RobotState, StateRecord
 from roboxim_tasks.demonstration.planning import PlannerPort
 from roboxim_tasks.demonstration.reference import SpeedConfig
-from roboxim_tasks.demonstration.solver import Solution, Solver
+from roboxim_tasks.demonstration.solver import NoMotionError, Solution, Solver
 from roboxim_tasks.motion import ExpertScene
 from roboxim_tasks.roles import task_distractors
 from roboxim_tasks.skills import SKILLS
@@ -65,7 +65,11 @@ class Solvability:
         return solution
 
     def holds(self, task: TaskSpec, scene: SceneSpec, seed: int) -> bool:
-        """Return whether a scene has a solution.
+        """Return whether a scene has a solution; see `refusal`."""
+        return self.refusal(task, scene, seed) is None
+
+    def refusal(self, task: TaskSpec, scene: SceneSpec, seed: int) -> str | None:
+        """Return why a scene has no solution, with a number; none: it has one.
 
         Args:
             task: The task.
@@ -77,9 +81,11 @@ class Solvability:
         """
         try:
             self.solution(task, scene, seed)
-        except PolicyError:
-            return False
-        return True
+        except NoMotionError as error:
+            return error.cause
+        except PolicyError as error:
+            return str(error)
+        return None
 
     def way_blocked(self, task: TaskSpec, scene: SceneSpec) -> bool:
         """Return whether straight lines from stage to stage solve a task without the distractors but not with them.

@@ -56,6 +56,8 @@ class _Blocked:
 
     stage: int
     reason: str
+    cause: str = ""
+    """The reason with its number, for people; empty: the reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +73,13 @@ class _Rolled:
 
 
 _Cache = dict[tuple[Stage, ...], _Rolled | _Blocked]
+
+
+class NoMotionError(PolicyError):
+    """No candidate of a skill has a feasible motion."""
+
+    cause = ""
+    """Why the candidate that came furthest was refused, e.g. ``grasp: 12 mm short of (0.250, 0.100, 0.020)``."""
 
 
 class Solver:
@@ -111,9 +120,10 @@ class Solver:
             seed: Seed of the planner's detours.
 
         Raises:
-            PolicyError: When no candidate is feasible; lists the reasons.
+            NoMotionError: When no candidate is feasible; lists the reasons.
         """
         reasons: list[str] = []
+        furthest, cause = -1, ""
         dead_ends: set[tuple[Stage, ...]] = set()
         cache: _Cache = {}
         tried = 0
@@ -126,15 +136,19 @@ class Solver:
             result = self._try(view, stages, seed, cache)
             if isinstance(result, _Blocked):
                 dead_ends.add(stages[: result.stage + 1])
+                if result.stage > furthest:
+                    furthest, cause = result.stage, f"{stages[result.stage].name}: {result.cause or result.reason}"
                 reasons.append(f"{stages[result.stage].name}: {result.reason}")
                 continue
             return Solution(
                 stages=stages, reference=list(result.reference), path=np.array(result.path), refused=tuple(reasons)
             )
-        raise PolicyError(
+        error = NoMotionError(
             f"the expert finds no motion for '{view.task.instruction}'; "
             f"candidates refused: {'; '.join(dict.fromkeys(reasons)) or '(none)'}"
         )
+        error.cause = cause
+        raise error
 
     def obstruction(self, view: ExpertScene, solution: Solution, clearance_m: float = 0.0) -> str:
         """Return the planner's objection to a solution, e.g. of a direct solver, or an empty text.
@@ -286,7 +300,13 @@ def _roll_out(
         off = math.dist(state.pose.position, point.pose.position)
         if step.clipped or step.left_workspace or step.unreached or off > MAX_TRACKING_ERROR_M:
             word = "left_workspace" if step.left_workspace else "clipped" if step.clipped else "unreachable"
-            return state, path, _Blocked(stage=point.stage, reason=f"{word} at {_short(point.pose)}")
+            place = _short(point.pose)
+            said = {
+                "left_workspace": f"the motion leaves the workspace at {place}",
+                "clipped": f"a step is too large at {place}",
+                "unreachable": f"{1000.0 * off:.0f} mm short of {place}",
+            }
+            return state, path, _Blocked(stage=point.stage, reason=f"{word} at {place}", cause=said[word])
     return state, path, None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -17,6 +18,7 @@ from roboxim_tasks.components import COMPONENTS, ResetContext
 from roboxim_tasks.config import TaskMix
 from roboxim_tasks.demonstration.solvable import CONSTRAINT, Solvability
 from roboxim_tasks.fixed_scene import FixedTaskConfig, base_scene
+from roboxim_tasks.reach import START_CLEARANCE_M
 from roboxim_tasks.roles import Wording, description
 from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.sampling.rejection import RejectedError
@@ -24,6 +26,13 @@ from roboxim_tasks.sampling.scene_check import Finding, quick_findings, slow_fin
 from roboxim_tasks.sampling.visible import Visibility
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.task_config import TaskConfig
+
+CAUSES = {
+    "start_clear": f"objects lie within {1000 * START_CLEARANCE_M:.0f} mm of where the hand starts",
+    "_overlaps": "there is no free place for the object",
+    "_visible": "a camera does not see enough of the object; see 'visible' of the task",
+}
+"""End of a constraint's name to what it means, where no number is known."""
 
 
 class EpisodeGenerator:
@@ -125,6 +134,8 @@ class EpisodeGenerator:
                 return drawn
             except RejectedError as error:
                 context.rejections[error.constraint] += 1
+                if error.cause:
+                    context.causes.setdefault(error.constraint, Counter())[error.cause] += 1
         (worst, _), *_ = context.rejections.most_common(1)
         raise _infeasible(context, worst, context.draws)
 
@@ -182,12 +193,15 @@ class EpisodeGenerator:
         """Refuse a scene by the first constraint that it violates; the costly ones come last."""
         for constraint in context.constraints:
             if not constraint.holds(scene):
+                context.refused[constraint.name] = scene
                 raise RejectedError(constraint.name)
         task, arm = context.task, context.arm
         if self._visibility and (refused := self._visibility.refusal(task, scene, arm, context.config.visible)):
             raise RejectedError(refused)
-        if self._solvability and not self._solvability.holds(task, scene, context.seed.derived_seed("policy")):
-            raise RejectedError(CONSTRAINT)
+        if self._solvability is not None:
+            cause = self._solvability.refusal(task, scene, context.seed.derived_seed("policy"))
+            if cause is not None:
+                raise RejectedError(CONSTRAINT, cause)
 
     def _arm(self, model: str) -> ArmKinematics:
         if model not in self._arms:
@@ -214,8 +228,20 @@ def _apply(scene: SceneSpec, context: ResetContext, *, places: bool) -> SceneSpe
 
 def _infeasible(context: ResetContext, constraint: str, draws: int) -> TaskError:
     counted = ", ".join(f"{name} {count}" for name, count in context.rejections.most_common())
+    cause = _cause(context, constraint)
     return TaskError(
         f"no scene for '{context.task.instruction}' in {draws} draws: constraint {constraint} refused most"
-        f"{f' ({counted})' if counted else ''}; widen the area or volume it depends on, or ask for fewer objects",
+        f"{f' ({counted})' if counted else ''}{cause}; widen the area or volume that it "
+        "depends on, or ask for fewer objects",
         ErrorCode.RESET_INFEASIBLE,
     )
+
+
+def _cause(context: ResetContext, constraint: str) -> str:
+    """Return what refused most draws, with a number where it is known, as the end of a message."""
+    if causes := context.causes.get(constraint):
+        return f", e.g. {causes.most_common(1)[0][0]}"
+    why = next((one.why for one in context.constraints if one.name == constraint), None)
+    if why is not None and constraint in context.refused:
+        return f", e.g. {why(context.refused[constraint])}"
+    return next((f": {text}" for name, text in CAUSES.items() if constraint.endswith(name)), "")

@@ -1,0 +1,79 @@
+"""Skills from one file, ``path/to/file.py:Class``, without a package of their own.
+
+A task's configuration names the file, so every process that parses it has the skill. Other processes, e.g. of a report,
+find it by ``ROBOXIM_SKILLS``, a list like ``PATH`` of such names, or by an entry point of an installed package.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import sys
+from pathlib import Path
+
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.user_folders import expanded
+from roboxim_tasks.skills.base import SKILLS, Skill
+
+VARIABLE = "ROBOXIM_SKILLS"
+"""Environment variable with skills of files."""
+_loaded: dict[tuple[Path, str], str] = {}
+
+
+def is_skill_file(text: str) -> bool:
+    """Tell whether a skill is given as ``path/to/file.py:Class`` or by a path without the class."""
+    return bool(re.search(r"\.py(:\w+)?$", text))
+
+
+def load_skill_file(spec: str) -> str:
+    """Register the skill of a file, once for each process, and return its name.
+
+    Args:
+        spec: ``path/to/file.py:Class``.
+
+    Raises:
+        ConfigError: When there is no such file or class, the file raises, or the skill's name is taken.
+    """
+    where, _, name = spec.rpartition(":") if not spec.endswith(".py") else (spec, "", "")
+    path = expanded(where).absolute()
+    if not path.is_file():
+        raise ConfigError(f"no such file of a skill: {path}")
+    if (path, name) in _loaded:
+        return _loaded[path, name]
+    before = set(SKILLS)
+    module_name = f"roboxim_skill_{path.stem}"
+    module_spec = importlib.util.spec_from_file_location(module_name, path)
+    assert module_spec is not None
+    assert module_spec.loader is not None
+    module = importlib.util.module_from_spec(module_spec)
+    sys.modules[module_name] = module  # dataclasses look up their annotations there
+    try:
+        module_spec.loader.exec_module(module)
+    except ConfigError:
+        raise
+    except Exception as error:  # the file's own code may raise anything
+        raise ConfigError(f"the file of the skill {path} raises {type(error).__name__}: {error}") from error
+    classes = {
+        key: value
+        for key, value in vars(module).items()
+        if isinstance(value, type) and issubclass(value, Skill) and value.__module__ == module_name
+    }
+    if name not in classes:
+        raise ConfigError(f"{path} has no skill '{name}'; name a class of it, {one_of(classes, name)}")
+    cls = classes[name]
+    cls.name = cls.name or re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+    if cls.name not in set(SKILLS) - before:
+        SKILLS.register(cls.name)(cls())
+    _loaded[path, name] = cls.name
+    return cls.name
+
+
+def load_named_by_environment() -> None:
+    """Register the skills that `VARIABLE` names.
+
+    Raises:
+        ConfigError: See `load_skill_file`.
+    """
+    for spec in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
+        load_skill_file(spec)
