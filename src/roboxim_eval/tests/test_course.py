@@ -41,14 +41,25 @@ def test_a_sentence_says_how_far_it_came_and_when_it_was_lost():
     never = what_happened(picking([0.0] * 9, [0.0] * 9), solved=False, reason="not_grasped")
     assert never == "0 of 2 fingers pressed it, lifted 0 cm of 5."
     fell = what_happened(picking([0.0, -0.05, -0.3, -0.3], [0.0] * 4), solved=False, reason="fell_off_table")
-    assert fell == "Fell off table at tick 2 (lift -30 cm, allowed -10 cm)."
+    assert fell == "The object fell off the table at tick 2 (lift -30 cm, allowed -10 cm)."
     held = [condition("inside", "distance_m", [0.0, 0.0], most=0.01)]
     assert what_happened(held, solved=False, reason="not_held", hold_s=0.5, held_s=0.2) == (
         "All conditions held, but for 0.2 s of 0.5 s."
     )
+    pushed = [
+        condition("pushed", "along_m", [0.0, 0.01, 0.02], least=0.05),
+        condition("reference_stayed", "reference_shift_m", [0.0, 0.0, 0.04], most=0.03, reason="moved_reference"),
+        condition("straight", "lateral_ratio", [0.0, 1.0, 1.0], most=0.7),
+    ]
+    assert what_happened(pushed, solved=False, reason="not_pushed") == (
+        "Moved 2 cm of 5 along the direction at tick 2, then the object that the instruction refers to was moved at "
+        "tick 2 (reference shift 4 cm, allowed 3 cm)."
+    )
+    tilted = [condition("upright", "tilt_rad", [1.57, 1.4, 1.5], most=0.17)]
+    assert what_happened(tilted, solved=False, reason="not_upright") == "Tilt was never below 80.2°, allowed 9.7°."
     placed = [condition("on_support", "support_force_n", [0.0, 0.0], least=math.nextafter(0.0, 1.0))]
     assert what_happened(placed, solved=False, reason="not_on_support") == (
-        "Support force reached 0 N, needed more than 0."
+        "Its support carried 0 N, needed more than 0."
     )
     assert what_happened(picking(lift, fingers), solved=True, reason="") == ""
     assert what_happened([], solved=False, reason="x") == ""

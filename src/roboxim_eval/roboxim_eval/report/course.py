@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_eval.report.reasons import explained
+
 Floats = npt.NDArray[np.float64]
 
 UNITS = {
@@ -21,9 +23,11 @@ LOST = {"grasped": "slipped", "lifted": "sank", "on_support": "left its support"
 PHRASES = {
     "pressing_links": "{} fingers pressed it", "lift_m": "lifted {}", "turned_deg": "turned by {}",
     "turned_rad": "turned by {}", "along_m": "moved {} along the direction", "finger_travel_m": "pressed down {}",
+    "support_force_n": "its support carried {}",
 }  # fmt: skip
 """Measure to how a sentence names the greatest value that it reached; others are "<name> reached"."""
-WORDS = {"pressing_links": "fingers pressing it", "table_force_n": "force on the table"}
+WORDS = {"pressing_links": "fingers pressing it", "table_force_n": "force on the table",
+         "sideways_share": "offset in units of the opening"}  # fmt: skip
 """Measure to its name for people, where the name itself does not say it."""
 NOTHING = 0.02
 """Share of a bound below which a value is shown as 0."""
@@ -140,24 +144,31 @@ def what_happened(
         kept = f"all conditions held, but for {held_s:.1f} s of {hold_s:g} s" if held_s < hold_s else ""
         return _sentence(kept)
     cause = [one for one in broken if one.reason == reason or f"not_{one.name}" == reason]
-    told = [*cause, *(one for one in broken if one not in cause and not _follows(one, conditions))][:MOST_EVENTS]
+    told = [*cause, *(one for one in broken if one not in cause and _tells(one))][:MOST_EVENTS]
     events = sorted((_event(one, one in cause) for one in told), key=lambda event: event[0])
     joint = ", then " if any(" at tick " in text for _, text in events) else ", "
     return _sentence(joint.join(text for _, text in events))
 
 
-def _follows(one: ConditionCourse, conditions: Sequence[ConditionCourse]) -> bool:
-    """Return whether a condition says what is plain from the start: it was broken at tick 0, and never held."""
-    return not one.holds.any() and one.least == -math.inf
+def _else(one: ConditionCourse) -> bool:
+    """Return whether a broken condition means that something else happened, e.g. another object was moved."""
+    return bool(one.reason) and not one.reason.startswith("not_")
+
+
+def _tells(one: ConditionCourse) -> bool:
+    """Return whether a broken condition says more than the one that decided: how far it came, or what else happened."""
+    return math.isfinite(one.least) or (_else(one) and bool(one.holds.any()))
 
 
 def _event(one: ConditionCourse, cause: bool) -> tuple[int, str]:
     """Return when the condition that decided was lost, or one came nearest, and that in words."""
     lost = one.lost_at
     if lost is not None and (cause or not math.isfinite(one.least)):
-        verb = LOST.get(one.name, f"no longer {one.name.replace('_', ' ')}")
+        verb = LOST.get(one.name) or (_named(one.reason) if _else(one) else f"no longer {one.name.replace('_', ' ')}")
         return lost, f"{verb} at tick {lost} ({_value(one, lost)})"
     best = one.peak_at
+    if not math.isfinite(one.least):
+        return best, f"{one.words} was never below {_of_limit(one, best)}"
     text = PHRASES.get(one.measure, f"{one.words} reached {{}}").format(_of_limit(one, best))
     return best, text if abs(one.values[best] - one.values[0]) <= NOTHING * abs(one.bound) else f"{text} at tick {best}"
 
@@ -180,7 +191,9 @@ def _of_limit(one: ConditionCourse, tick: int) -> str:
 
 
 def _named(reason: str) -> str:
-    return reason.replace("_", " ")
+    """Return what a reason means, as a part of a sentence."""
+    text = explained(reason).removesuffix(".")
+    return text[0].lower() + text[1:]
 
 
 def _sentence(text: str) -> str:
