@@ -9,6 +9,7 @@ from click.testing import CliRunner
 from roboxim_interfaces.action import RunEpisodes
 from roboxim_interfaces.msg import RunConfig as RunConfigMsg
 from roboxim_interfaces.msg import StateRecord
+from std_msgs.msg import String
 
 from roboxim_cli.main import group
 from roboxim_core.episode import RunConfig
@@ -82,3 +83,22 @@ def test_damaged_bag_is_named_and_repaired(runtime, graph, tmp_path):
     assert CliRunner().invoke(group, ["bag", "repair", str(damaged)]).exit_code == 1
     file.write_bytes(b"")
     assert CliRunner().invoke(group, ["bag", "repair", str(damaged)]).exit_code == 2
+
+
+def test_a_driven_graph_is_recorded_with_topics_of_other_nodes_and_played(runtime, graph, tmp_path):
+    out = tmp_path / "driven"
+    with register_run("up", domain=graph.host.context.get_domain_id()), graph.clients() as clients:
+        mine = clients.node.create_publisher(String, "/my_node/said", qos.STATE)
+        mine.publish(String(data="hello"))
+        said = roboxim("bag", "record", "/my_node/said", "/sim/state", "--out", out, "--duration", 3)
+        assert "/my_node/said: 1" in said
+        assert (out / "metadata.yaml").exists()
+        heard = []
+        clients.node.create_subscription(String, "/bag/my_node/said", lambda m: heard.append(m.data), qos.RECORDING)
+        clients.wake()
+        roboxim("bag", "play", out, "--namespace", "/bag", "--topic", "/my_node/said", "--wait")
+        eventually(lambda: heard == ["hello"])
+        with pytest.raises(RoboximError, match="exists already"):
+            roboxim("bag", "record", "--out", out)
+    with pytest.raises(RoboximError, match="no episode of RoboXim.*bag play"):
+        roboxim("bag", "info", out)

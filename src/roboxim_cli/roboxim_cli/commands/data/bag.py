@@ -1,4 +1,4 @@
-"""Describe, check, repair and play recorded episodes."""
+"""Describe, check, repair and play recorded episodes, and record a running graph."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import click
 
 from roboxim_bringup.attach import attach_options
 from roboxim_cli import strict
+from roboxim_cli.graph_names import complete
 from roboxim_cli.options import option
 
 _bag = click.Path(exists=True, path_type=Path)
@@ -18,7 +19,7 @@ _bag = click.Path(exists=True, path_type=Path)
 
 @strict.group()
 def command() -> None:
-    """Describe, check, repair and play recorded episodes."""
+    """Describe, check, repair and play recorded episodes, and record a running graph."""
 
 
 @command.command("info")
@@ -126,43 +127,56 @@ def play(
     """
     from roboxim_bringup.attach import Peer
     from roboxim_cli.ros.node import membership
-    from roboxim_recorder.bag import BagReader
+    from roboxim_recorder.bag import mcap_file
 
     if not rate:
         raise click.UsageError("--rate must be greater than 0")
-    reader = BagReader(path)
+    file = mcap_file(path)
+    types = _types(file)
     with membership("play", run_id, domain, open_network=False, namespace=namespace) as member:
         peer = Peer()
         try:
-            publishers = _publishers(peer, reader, topics, namespace)
+            publishers = _publishers(peer, types, topics, namespace)
             while wait and not any(publisher.get_subscription_count() for publisher in publishers.values()):
                 time.sleep(0.05)
-            click.echo(f"playing {len(reader)} ticks of {reader.path} into {member.where}; Ctrl-C ends it")
-            sent = _play(reader, publishers, rate)
+            click.echo(f"playing {file} into {member.where}; Ctrl-C ends it")
+            sent = _play(file, publishers, rate)
             _flush(publishers)
         finally:
             peer.close()
     click.echo(f"published {sent} messages")
 
 
-def _publishers(peer: Any, reader: Any, topics: tuple[str, ...], namespace: str) -> dict[str, Any]:
+def _types(file: Path) -> dict[str, str]:
+    """Return topic to message type of any bag, an episode's or not."""
+    from mcap.reader import make_reader
+
+    from roboxim_recorder.bag import damage, damaged
+
+    with damage(file), file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    if summary is None:
+        raise damaged(file, "it has no index")
+    return {channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()}
+
+
+def _publishers(peer: Any, types: dict[str, str], topics: tuple[str, ...], namespace: str) -> dict[str, Any]:
     from roboxim_bringup.attach import absolute
     from roboxim_cli.messages import look_up
     from roboxim_core.errors import ConfigError, one_of
     from roboxim_ros.qos import SENSOR
 
-    wanted = [absolute(topic) for topic in topics] or list(reader.types)
+    wanted = [absolute(topic) for topic in topics] or list(types)
     for topic in wanted:
-        if topic not in reader.types:
-            raise ConfigError(f"the bag has no topic '{topic}'; {one_of(reader.types, topic)}")
+        if topic not in types:
+            raise ConfigError(f"the bag has no topic '{topic}'; {one_of(types, topic)}")
     prefix = absolute(namespace.strip("/")) if namespace.strip("/") else ""
     return {
-        topic: peer.node.create_publisher(look_up(reader.types[topic], "msg"), f"{prefix}{topic}", SENSOR)
-        for topic in wanted
+        topic: peer.node.create_publisher(look_up(types[topic], "msg"), f"{prefix}{topic}", SENSOR) for topic in wanted
     }
 
 
-def _play(reader: Any, publishers: dict[str, Any], rate: float) -> int:
+def _play(file: Path, publishers: dict[str, Any], rate: float) -> int:
     """Publish the serialised messages at their recorded times; return their number."""
     from mcap.reader import make_reader
 
@@ -171,7 +185,7 @@ def _play(reader: Any, publishers: dict[str, Any], rate: float) -> int:
     sent = 0
     started = time.monotonic()
     first: int | None = None
-    with damage(reader.path), reader.file.open("rb") as stream:
+    with damage(file), file.open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages(topics=list(publishers)):
             first = message.log_time if first is None else first
             due = started + (message.log_time - first) / 1e9 / rate
@@ -186,3 +200,52 @@ def _flush(publishers: dict[str, Any]) -> None:
 
     for publisher in publishers.values():
         publisher.wait_for_all_acked(Duration(seconds=2))
+
+
+@command.command("record")
+@click.argument("topics", nargs=-1, shell_complete=complete("topics"))
+@option("out", required=True, help="Folder of the bag, which must not exist.")
+@click.option("--duration", type=click.FloatRange(0, min_open=True), help="End after this time [s]; else on Ctrl-C.")
+@attach_options
+def record(topics: tuple[str, ...], out: Path, duration: float | None, run_id: str | None, domain: int | None) -> None:
+    r"""Record a running graph, whatever drives it: TOPICS, or all of them, those of your own nodes too.
+
+    \b
+    roboxim up &
+    roboxim bag record --out runs/driven
+    roboxim bag record /joint_states /my_node/goal --out runs/goals --duration 30
+
+    Topics that appear later are recorded from then on. The bag is MCAP with rosbag2's profile: 'roboxim bag play' and
+    Foxglove open it. It is not an episode: it has no task and no verdict, so exports refuse it; episodes are recorded
+    by 'roboxim generate' and 'roboxim evaluate'.
+    """
+    from roboxim_bringup.attach import absolute, attached
+    from roboxim_bringup.live_recording import LiveRecording
+    from roboxim_cli.messages import look_up
+    from roboxim_core.errors import ConfigError
+    from roboxim_ros.host import wait_for_stop
+
+    if out.exists():
+        raise ConfigError(f"{out} exists already; choose another --out")
+    wanted = [absolute(topic) for topic in topics]
+    recording = LiveRecording(out, lambda name: look_up(name, "msg"), wanted)
+    with attached(run_id, domain) as peer, recording:
+        peer.settle()
+        end = time.monotonic() + (duration or float("inf"))
+
+        def step() -> bool:
+            recording.listen(peer)
+            recording.write()
+            return time.monotonic() >= end
+
+        recording.listen(peer)
+        wait_for_stop(step, period_s=0.2, on_waiting=lambda: click.echo(f"recording into {out}; Ctrl-C ends it"))
+        recording.close(peer)
+    for name, count in sorted(recording.counts.items()):
+        click.echo(f"  {name}: {count}")
+    for text in recording.left_out:
+        click.echo(f"  left out: {text}")
+    missing = [topic for topic in wanted if not recording.counts.get(topic)]
+    click.echo(f"{sum(recording.counts.values())} messages in {out}")
+    if missing:
+        raise ConfigError(f"no message on {', '.join(missing)}")
