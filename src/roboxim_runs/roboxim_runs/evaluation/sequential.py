@@ -101,7 +101,7 @@ def _sentence(planned: str, first: PolicyResult, second: PolicyResult, decided: 
     won = sum(r.outcome == "success" for r in first.results), sum(r.outcome == "success" for r in second.results)
     better, worse = (first.name, second.name) if won[0] > won[1] else (second.name, first.name)
     return (
-        f"{planned} Stopped after {scenes}: this checkpoint of {better} is better than this one of {worse} "
+        f"{planned} Stopped after {scenes}: {better} is better than {worse} "
         "(group-sequential exact test, error probability 5 % over all looks). Intervals below do not account for the "
         "looks; they are slightly too narrow."
     )

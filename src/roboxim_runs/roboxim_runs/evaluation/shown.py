@@ -131,6 +131,8 @@ def _run(
     from roboxim_runs.episodes.showing import Other, films_of, shown_episode
 
     films, pages = {}, {}
+    for old in (out / PAGES / _folder(name)).glob("*.html"):  # of a report that showed other scenes
+        old.unlink()
     for episode in result.results:
         scene = scenes[episode.episode_id]
         bag = shown[name].get(scene)

@@ -79,7 +79,8 @@ def write_checkpoint(path, **said):
 
 
 def evaluate(*words, episodes=2):
-    words = ("evaluate", "--out", "out", "--episodes", str(episodes), *map(str, words))
+    out = () if "--out" in words else ("--out", "out")
+    words = ("evaluate", *out, "--episodes", str(episodes), *map(str, words))
     return CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
 
 

@@ -40,7 +40,7 @@ def test_an_evaluation_stops_when_two_policies_differ(planted_evaluations):
     found = sequential.evaluate_sequentially(config, 4)
     assert found.decided
     assert "Planned: at most 200 scenes, looks after 50, 100, 150, 200." in found.sentence
-    assert "Stopped after 50: this checkpoint of good is better than this one of bad" in found.sentence
+    assert "Stopped after 50: good is better than bad" in found.sentence
     assert [(episodes, page) for episodes, _, page, _ in calls] == [(50, False), (50, True)], "one page, at the end"
     assert calls[-1][1] == found.sentence, "the report states it"
     assert [undecided for *_, undecided in calls] == [True, False], "a report before the end decides nothing"

@@ -130,4 +130,7 @@ def command(
         if line:
             click.echo(line)
     click.echo(f"report: {result.report}")
+    failed = next((one.index for one in result.results if one.outcome == "failure" and one.bag), None)
+    if failed is not None:
+        click.echo(f"why episode {failed} failed: roboxim show {config.out} {failed}")
     result.require_measured()
