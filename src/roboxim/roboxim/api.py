@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -57,6 +58,10 @@ def _by_fields(name: str, run: Callable[..., R], cls: type[Any], *first: str) ->
         given = {key: named.pop(key) for key in list(named) if key not in signature.parameters}
         bound = signature.bind_partial(*arguments, **named)
         bound.arguments["config"] = _configured(cls, bound.arguments.get("config"), given)
+        if "on_event" in signature.parameters and "on_event" not in bound.arguments and "ipykernel" in sys.modules:
+            from roboxim_cli.printer import EventPrinter
+
+            bound.arguments["on_event"] = EventPrinter()  # a notebook shows the progress at once
         return run(*first, *bound.args, **bound.kwargs)
 
     call = f"{run.__module__}.{run.__name__}" + (f"({', '.join(map(repr, first))}, ...)" if first else "")

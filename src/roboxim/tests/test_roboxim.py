@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -75,7 +76,7 @@ def test_every_format_has_a_function_with_the_fields_of_its_configuration():
         roboxim.export_lerobot("runs/none", "runs/out", verson="2.1")
 
 
-def test_an_evaluation_is_a_value(tmp_path):
+def test_an_evaluation_is_a_value(tmp_path, monkeypatch):
     events = []
     found = roboxim.evaluate(
         policies=["zero", roboxim.PolicySpec(spec="random", name="wild", options={"scale": 0.5})],
@@ -94,6 +95,16 @@ def test_an_evaluation_is_a_value(tmp_path):
     assert kinds.count("PolicyMeasured") == 2
     with pytest.raises(roboxim.ConfigError, match="no policy 'wld'.*did you mean 'wild'"):
         found["wld"]
+    pandas = ModuleType("pandas")
+    pandas.DataFrame = list
+    monkeypatch.setitem(sys.modules, "pandas", pandas)
+    rows = found.to_frame()
+    assert [row["success"] for row in rows if row["policy"] == "wild"] == [True, False, True, False, True]
+    assert "<th>wild</th>" in found._repr_html_()
+    assert "report.html" in found._repr_html_()
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(roboxim.ConfigError, match="pip install pandas"):
+        found.to_frame()
 
 
 def test_a_cancelled_run_continues(tmp_path):

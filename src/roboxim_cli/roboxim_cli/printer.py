@@ -7,7 +7,7 @@ from types import TracebackType
 
 import click
 
-from roboxim_cli.progress import Bars, ProgressLine
+from roboxim_cli.progress import Bars, NotebookBars, ProgressLine, in_notebook
 from roboxim_runs.episodes.run import failures
 from roboxim_runs.evaluation.results import rate_line
 from roboxim_runs.events import (
@@ -31,7 +31,7 @@ class EventPrinter:
         """Make the printer. The events also go to the file that ``$ROBOXIM_EVENTS`` names, if it is set."""
         file = os.environ.get(VARIABLE)
         self._log = EventLog(file) if file else None
-        self._bars = Bars()
+        self._bars = NotebookBars() if in_notebook() else Bars()
         self._lines: dict[str, ProgressLine] = {}
 
     def __call__(self, event: Event) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import html
+import importlib
 import sys
 import time
 from types import TracebackType
+from typing import Any
 
 import click
 from rich.console import Console
@@ -62,10 +65,55 @@ class Bars:
             self._shown.console.print(text, markup=False, highlight=False)
 
 
+class NotebookBars:
+    """Bars in the output of a notebook's cell: one display that is drawn again."""
+
+    def __init__(self) -> None:
+        """Show nothing yet."""
+        self._rows: dict[int, str] = {}
+        self._titles: dict[int, tuple[str, str]] = {}
+        self._handle: Any = None
+
+    def add(self, title: str, total: int, done: int, unit: str) -> TaskID:
+        """Show another bar; return its id."""
+        bar = TaskID(len(self._rows))
+        self._rows[bar] = ""
+        self._titles[bar] = (title, unit)
+        self.update(bar, done, total, "starting", "")
+        return bar
+
+    def update(self, bar: TaskID, done: int, total: int, note: str, pace: str) -> None:
+        """Show a bar's progress."""
+        shown_by = importlib.import_module("IPython.display")
+        title, unit = self._titles[bar]
+        texts = (title, f"{done} of {total} {unit}".rstrip(), pace, note)
+        words = "; ".join(html.escape(text) for text in texts if text)
+        self._rows[bar] = f'<div><progress value="{done}" max="{max(total, 1)}"></progress> {words}</div>'
+        shown = shown_by.HTML("".join(self._rows.values()))
+        if self._handle is None:
+            self._handle = shown_by.display(shown, display_id=True)
+        else:
+            self._handle.update(shown)
+
+    def end(self, bar: TaskID) -> None:
+        """Keep a bar's last state."""
+
+    def say(self, text: str) -> None:
+        """Print a line below the bars."""
+        print(text)  # noqa: T201  (a notebook's cell shows what is printed)
+
+
+def in_notebook() -> bool:
+    """Tell whether this process is the kernel of a notebook."""
+    return "ipykernel" in sys.modules and "IPython" in sys.modules
+
+
 class ProgressLine:
     """A bar with a note beside it. A context manager; safe to call from several threads."""
 
-    def __init__(self, title: str, total: int, done: int = 0, *, unit: str = "", bars: Bars | None = None) -> None:
+    def __init__(
+        self, title: str, total: int, done: int = 0, *, unit: str = "", bars: Bars | NotebookBars | None = None
+    ) -> None:
         """Prepare the bar.
 
         Args:
@@ -81,12 +129,16 @@ class ProgressLine:
         self._shown: tuple[int, str] | None = None
         self._started = self._last = time.monotonic()
         self._pace = Pace()
-        self._bars = (bars or Bars()) if sys.stdout.isatty() else None
+        shows = sys.stdout.isatty() or isinstance(bars, NotebookBars)
+        self._bars = (bars or Bars()) if shows else None
 
     def __enter__(self) -> ProgressLine:
         """Show the bar."""
         if self._bars is not None:
             self._bar = self._bars.add(self._title, self._total, self._done, self._unit.strip())
+        else:
+            at = f", {self._done} are done" if self._done else ""
+            click.echo(f"{self._title}: {self._total}{self._unit}{at}; starting")
         return self
 
     def __exit__(

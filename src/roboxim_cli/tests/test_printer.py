@@ -1,6 +1,8 @@
 """What the printer shows of stages that go on side by side."""
 
 import io
+import sys
+from types import ModuleType
 
 import pytest
 from rich.console import Console
@@ -24,6 +26,8 @@ def test_each_line_of_a_log_names_its_stage(capsys, monkeypatch):
         printer(StageProgress(done=50, total=50, name="a"))
         printer(StageFinished(name="a"))
     lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == ["training a: 50 steps; starting", "training b: 50 steps; starting"], "said at once"
+    lines = lines[2:]
     assert [line.partition(" after")[0] for line in lines] == [
         "training b: 20 of 50 steps", "training a: 10 of 50 steps", "b has ended", "training a: 50 of 50 steps",
     ]  # fmt: skip
@@ -48,3 +52,28 @@ def test_bars_of_a_terminal_stand_below_each_other(text):
     assert "training a" not in rest, "its last state stays above, and is not drawn again"
     bars.end(bars.add("training c", 50, 0, "steps"))
     assert "training c" in screen.getvalue()
+
+
+def test_a_notebook_draws_one_display_again(monkeypatch):
+    drawn = []
+
+    class Handle:
+        def update(self, shown):
+            drawn.append(shown)
+
+    def display(shown, display_id):
+        assert display_id
+        drawn.append(shown)
+        return Handle()
+
+    kernel = ModuleType("IPython.display")
+    kernel.HTML, kernel.display = str, display
+    for name, module in (("ipykernel", ModuleType("ipykernel")), ("IPython", kernel), ("IPython.display", kernel)):
+        monkeypatch.setitem(sys.modules, name, module)
+    with EventPrinter() as printer:
+        printer(StageStarted(title="rollouts of <b>", total=4))
+        assert "0 of 4; starting" in drawn[0]
+        printer(StageProgress(done=2, total=4, note="1 of 2 succeeded"))
+        printer(StageFinished())
+    assert '<progress value="2" max="4">' in drawn[-1]
+    assert "rollouts of &lt;b&gt;; 2 of 4" in drawn[-1]

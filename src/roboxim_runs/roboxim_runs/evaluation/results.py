@@ -5,13 +5,15 @@ Statistics are imported where they are needed: the import takes seconds.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
+from roboxim_runs.evaluation.notebook import Episode, evaluation_html
 
 if TYPE_CHECKING:
     from roboxim_eval.statistics.rates import SuccessRate
@@ -27,6 +29,11 @@ class PolicyResult:
     """Results by episode, in the order of their indices."""
     folder: Path
     """Folder of its run, with the bags."""
+
+    @property
+    def episodes(self) -> tuple[Episode, ...]:
+        """The episodes, each with its bag and its film."""
+        return tuple(Episode(policy=self.name, result=result, folder=self.folder) for result in self.results)
 
     @property
     def measured(self) -> bool:
@@ -115,6 +122,29 @@ class EvaluationResult:
             )
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return tuple("  ".join(cell.ljust(n) for cell, n in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+    @property
+    def episodes(self) -> tuple[Episode, ...]:
+        """The episodes of all policies."""
+        return tuple(episode for policy in self.policies.values() for episode in policy.episodes)
+
+    def to_frame(self) -> Any:
+        """Return the episodes of all policies as a pandas data frame, a row each.
+
+        Raises:
+            ConfigError: When pandas is not installed.
+        """
+        try:
+            pandas = importlib.import_module("pandas")
+        except ImportError:
+            raise ConfigError(
+                "a data frame needs pandas: pip install pandas; [episode.row() for episode in evaluation.episodes] "
+                "has the same rows"
+            ) from None
+        return pandas.DataFrame([episode.row() for episode in self.episodes])
+
+    def _repr_html_(self) -> str:
+        return evaluation_html(self.policies, self.comparison, self.report)
 
     def require_measured(self) -> None:
         """Refuse a result in which most episodes of a policy ended in errors.
