@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
@@ -25,6 +25,9 @@ from roboxim_studio.serving.access import Access
 from roboxim_studio.serving.site import Site
 from roboxim_studio.sharing import share
 
+if TYPE_CHECKING:
+    from roboxim_runs.policies.specs import ChosenPolicy
+
 EPISODE, SCENE, DRIVE = "Episode", "Scene", "Drive"
 MODES = (EPISODE, SCENE, DRIVE)
 """What the view shows: an episode, a scene being edited, or an episode that a person drives."""
@@ -33,19 +36,27 @@ MODES = (EPISODE, SCENE, DRIVE)
 class Studio:
     """A running studio. A context manager; `url` is the address to open."""
 
-    def __init__(self, *, port: int = 0, open_network: bool = False, folder: Path | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        port: int = 0,
+        open_network: bool = False,
+        folder: Path | None = None,
+        policies: Sequence[ChosenPolicy] = (),
+    ) -> None:
         """Start the server, without content.
 
         Args:
             port: Port to listen at; 0: any.
             open_network: Whether other machines may connect.
             folder: Folder that scenes and teleoperated episodes are written to; none: the working directory.
+            policies: Policies that "what if" offers, besides the expert.
 
         Raises:
             RoboximError: When the port is taken.
         """
         self.library = ModelLibrary()
-        self.bench, self.lab = Bench(), Lab()
+        self.bench, self.lab = Bench(), Lab(policies=policies)
         self._keys = Bench()  # a key must not wait for a simulation
         self.folder = folder or Path.cwd()
         """Folder that files are written to."""

@@ -164,7 +164,7 @@ class Browser:
             lines = file.read_text().split("\n") if file.exists() else []
             return f"ws://127.0.0.1:{lines[0]}{lines[1]}" if len(lines) > 1 else ""
 
-        return connect(wait_for(address, "the browser"), max_size=None)
+        return connect(wait_for(address, "the browser"), max_size=None, max_queue=None, ping_interval=None)
 
     def _call(self, method: str, **parameters: Any) -> Any:
         number = next(self._ids)

@@ -33,9 +33,21 @@ def studio():
 
 
 @pytest.fixture(scope="session")
-def chromium():
+def started_chromium():
     """One browser for all tests that need one."""
     if not find_browser():
         pytest.skip("no Chromium is installed: apt-get install chromium, or name one in ROBOXIM_CHROMIUM")
-    with Browser(width=900, height=600) as browser:
+    with Browser() as browser:
         yield browser
+
+
+@pytest.fixture
+def chromium(started_chromium):
+    """The browser with an empty page."""
+    browser = started_chromium
+    browser.open("about:blank")
+    browser.resize(1400, 800)
+    browser.wait("location.href === 'about:blank'")
+    browser.requests.clear()
+    browser.errors.clear()
+    return browser

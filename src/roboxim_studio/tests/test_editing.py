@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from roboxim_core.config import digest
@@ -112,6 +113,11 @@ def test_a_scaled_object_keeps_resting_on_the_table(document):
 def test_a_task_is_drawn_edited_and_solved_by_the_expert(studio):
     draw = studio.open_task("pick_cube").result(timeout=120)
     assert studio.editor.desk.scene == draw.scene
+    ways = []
+    studio.editor.desk.on_plan.append(ways.append)
+    assert studio.editor.desk.refresh().result(timeout=120).valid
+    target = draw.scene.entity("target").pose.position
+    assert min(np.linalg.norm(ways[-1] - target, axis=1)) < 0.02  # the expert's plan leads to the target
     another = studio.bench.do(lambda: None)
     another.result(timeout=120)
     second = studio.compose.draw(another=True).result(timeout=120)
@@ -125,7 +131,6 @@ def test_a_task_is_drawn_edited_and_solved_by_the_expert(studio):
 
 
 def test_dragging_the_gizmo_in_the_page_moves_the_simulated_object(studio, editor, chromium):
-    chromium.resize(1400, 800)
     chromium.open(studio.url)
     chromium.wait("document.documentElement.dataset.studioConnected === 'true'")
     chromium.wait("document.querySelector('#findings')")
@@ -158,7 +163,6 @@ def test_dragging_the_gizmo_in_the_page_moves_the_simulated_object(studio, edito
 
 def on_screen(client, point):
     """Return where in the page a point of the world is drawn [px]."""
-    import numpy as np
     from scipy.spatial.transform import Rotation
 
     camera = client.camera
@@ -169,3 +173,15 @@ def on_screen(client, point):
         float(camera.image_width / 2 + focal * seen[0] / seen[2]),
         float(camera.image_height / 2 + focal * seen[1] / seen[2]),
     )
+
+
+def test_a_page_can_name_no_other_file_as_a_task(studio, tmp_path):
+    studio.open_task("pick_cube").result(timeout=120)
+    before = studio.compose.drawn
+    secret = tmp_path / "secret.yaml"
+    secret.write_text("password: hunter2\n")
+    studio.compose._task.value = str(secret)  # as a forged message of a page would
+    assert studio.compose.draw().result(timeout=60) is None
+    assert "hunter2" not in studio.compose._told.content
+    assert "in the list" in studio.compose._told.content
+    assert studio.compose.drawn is before

@@ -83,8 +83,6 @@ def test_a_shared_episode_plays_offline_and_asks_nobody(bag, chromium, studio, t
     film = read_film(bag)
     file = share(film, studio.library, tmp_path / "episode.html")
     assert str(tmp_path) not in file.read_text()
-    chromium.requests.clear()
-    chromium.errors.clear()
     chromium.open(file.as_uri())
     chromium.wait("document.querySelector('canvas')")
     chromium.wait(f"document.querySelector('#episode').innerText.includes({film.info.task.instruction!r})")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
+    from roboxim_runs.policies.specs import ChosenPolicy
     from roboxim_studio.opening import Opened
 
 from roboxim_cli import strict
@@ -22,10 +23,18 @@ from roboxim_cli import strict
 )  # fmt: skip
 @click.option("--browser/--no-browser", default=True, help="Open the page in this machine's browser.")
 @click.option(
+    "--policy", "policies", multiple=True, metavar="NAME",
+    help="A policy that \"what if\" offers besides the expert, as evaluate takes it; may be repeated.",
+)  # fmt: skip
+@click.option("--checkpoint", "checkpoints", multiple=True, metavar="DIR", help="Checkpoint of a policy, in order.")
+@click.option(
     "--html", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
     help="Write the episode of a bag as one HTML file that plays offline, and end.",
 )  # fmt: skip
-def command(what: str, port: int, open_network: bool, browser: bool, html: Path | None) -> None:
+def command(
+    what: str, port: int, open_network: bool, browser: bool, policies: tuple[str, ...], checkpoints: tuple[str, ...],
+    html: Path | None,
+) -> None:  # fmt: skip
     r"""Open the studio: one page, served by this machine, without the internet.
 
     \b
@@ -47,10 +56,11 @@ def command(what: str, port: int, open_network: bool, browser: bool, html: Path 
     if html is not None:
         _share(opened, html)
         return
+    chosen = _policies(policies, checkpoints)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    with Studio(port=port, open_network=open_network) as studio:
+    with Studio(port=port, open_network=open_network, policies=chosen) as studio:
         click.echo(f"studio at {studio.url}")
         if open_network:
             click.echo("other machines can connect; traffic is not encrypted", err=True)
@@ -58,6 +68,15 @@ def command(what: str, port: int, open_network: bool, browser: bool, html: Path 
             threading.Thread(target=webbrowser.open, args=(studio.url,), daemon=True).start()
         studio.open(opened)
         stop.wait()
+
+
+def _policies(names: tuple[str, ...], checkpoints: tuple[str, ...]) -> list[ChosenPolicy]:
+    """Return the policies that were named."""
+    if not names and not checkpoints:
+        return []
+    from roboxim_runs.policies.specs import choose_policies
+
+    return choose_policies(names, checkpoints)
 
 
 def _share(opened: Opened, html: Path) -> None:

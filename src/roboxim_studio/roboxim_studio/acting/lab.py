@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from roboxim_core.episode import ActorPort, Draw
+from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
@@ -15,14 +17,22 @@ from roboxim_studio.episode.film import Picture
 
 if TYPE_CHECKING:
     from roboxim_bringup.core_graph import CoreGraph
+    from roboxim_runs.policies.specs import ChosenPolicy
     from roboxim_sim.rendering.states import StateRenderer
 
 
 class Lab:
     """Cores for drawing, simulating, planning and judging. Every method belongs to the thread of the first call."""
 
-    def __init__(self, renderer: str = "raster") -> None:
-        """Use a renderer by name; nothing is made before it is needed."""
+    def __init__(self, renderer: str = "raster", policies: Sequence[ChosenPolicy] = ()) -> None:
+        """Use a renderer by name; nothing is made before it is needed.
+
+        Args:
+            renderer: Renderer by name.
+            policies: Policies that may act, besides the expert. A page can name no others: making a policy runs code.
+        """
+        self.policies = {chosen.name: chosen for chosen in policies}
+        """Policies that may act, by name."""
         self._renderer = renderer
         self._graph: CoreGraph | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="roboxim-studio-", ignore_cleanup_errors=True)
@@ -39,7 +49,7 @@ class Lab:
         return self._graph
 
     def actor(self, name: str) -> ActorPort:
-        """Return the expert, or a policy by its name or ``name=...`` specification, as ``evaluate`` takes it.
+        """Return the expert, or one of the policies, which is made at its first use.
 
         Raises:
             ConfigError: When there is no such policy.
@@ -49,9 +59,12 @@ class Lab:
             return self.graph.ports.actor
         if name not in self._actors:
             from roboxim_bringup.core_graph import CoreActor
-            from roboxim_runs.policies.specs import choose_policies
 
-            (chosen,) = choose_policies([name])
+            if name not in self.policies:
+                raise ConfigError(
+                    f"the studio was not given a policy '{name}'; {one_of((EXPERT, *self.policies), name)}"
+                )
+            chosen = self.policies[name]
             make: Any = chosen.make
             self._actors[name] = CoreActor(make(**chosen.options))
         return self._actors[name]

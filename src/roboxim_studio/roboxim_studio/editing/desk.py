@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 SEED = SeedPath(run_seed=0, purpose="demo", index=0)
 """Seed path that checks use: the planner's detours depend on it."""
 Picture = npt.NDArray[np.uint8]
+Points = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +78,8 @@ class Desk:
         """Called after every change of the document."""
         self.on_checks: list[Callable[[], None]] = []
         """Called when checks have come."""
+        self.on_plan: list[Callable[[Points], None]] = []
+        """Called with the way of the tool in the expert's plan, when a document is valid."""
         self.on_pictures: list[Callable[[Mapping[str, Picture]], None]] = []
         """Called with the cameras' pictures of the document."""
 
@@ -196,7 +199,18 @@ class Desk:
     def _whole(self) -> Checks:
         checks = self.check()
         self._set(checks)
+        if checks.valid and checks.of == self.history.now:
+            path = self._path(checked(checks.of, self._library))
+            for told in self.on_plan:
+                told(path)
         return checks
+
+    def _path(self, config: FixedTaskConfig) -> Points:
+        """Return the way of the tool in the expert's plan, in the world, shape (ticks + 1, 3) [m]."""
+        solution = self._lab.graph.tasks.generator.solution(config, SEED)
+        arm, base = self.arm(), config.fixed.scene.robot.pose
+        rows = () if solution is None else solution.path
+        return np.array([base.apply(arm.fk(joints).position) for joints in rows], dtype=float).reshape(-1, 3)
 
     def _set(self, checks: Checks) -> None:
         if checks.of == self.history.now:

@@ -9,7 +9,7 @@ from typing import Any
 
 from roboxim_core.config_folders import config_names
 from roboxim_core.episode import Draw
-from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_core.errors import ConfigError, RoboximError, one_of
 from roboxim_core.seeds import PURPOSES, SeedPath
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_studio.acting.lab import Lab
@@ -46,8 +46,6 @@ class ComposePanel:
         self._site, self._gui, self._view = site, site.viser.gui, view
         self._bench, self._lab, self._editor, self._watch = bench, lab, editor, watch
         self._cancel = threading.Event()
-        self.task = ""
-        """Name or file of the task."""
         self.drawn: Draw | None = None
         """The newest draw."""
         gui = self._gui
@@ -84,8 +82,15 @@ class ComposePanel:
 
     @property
     def chosen(self) -> str:
-        """Name or file of the chosen task."""
-        return str(self._task.value)
+        """Name or file of the chosen task: one of the list, since a page may name no other file.
+
+        Raises:
+            ConfigError: When it is none of the list.
+        """
+        task = str(self._task.value)
+        if task not in self._task.options:
+            raise ConfigError(f"no task '{task}' in the list; {one_of(self._task.options, task)}")
+        return task
 
     @property
     def seed(self) -> SeedPath:
@@ -96,9 +101,9 @@ class ComposePanel:
         """Draw the episode of the chosen seed and index; ``another``: of the next index. Returns the future draw."""
         if another:
             self._index.value = int(self._index.value) + 1
-        task, seed = str(self._task.value), self.seed
-        self._tell(f"drawing index {seed.index} of {task} ...")
-        return self._bench.do(lambda: self._draw(task, seed))
+        seed = self.seed
+        self._tell(f"drawing index {seed.index} ...")
+        return self._bench.do(lambda: self._draw(seed))
 
     def solve(self) -> Any:
         """Let the expert play the edited scene, or the drawn one; returns the future episode."""
@@ -112,13 +117,13 @@ class ComposePanel:
 
     def count(self) -> Any:
         """Count what refuses draws of the chosen task; returns the future counts by constraint."""
-        task, seed = str(self._task.value), self.seed
+        seed = self.seed
         self._cancel.clear()
-        return self._bench.do(lambda: self._count(task, seed))
+        return self._bench.do(lambda: self._count(seed))
 
-    def _draw(self, task: str, seed: SeedPath) -> Draw | None:
+    def _draw(self, seed: SeedPath) -> Draw | None:
         try:
-            self.drawn = self._lab.draw(task_text(task), seed)
+            self.drawn = self._lab.draw(task_text(self.chosen), seed)
         except RoboximError as error:
             self._tell(str(error), alert=True)
             return None
@@ -128,7 +133,6 @@ class ComposePanel:
             f"{self.drawn.task.instruction}\nindex {seed.index}, "
             f"{sum(refused.values())} draws refused{': ' + _listed(refused) if refused else ''}"
         )
-        self.task = task
         self._editor.open(from_draw(self.drawn))
         return self.drawn
 
@@ -155,10 +159,14 @@ class ComposePanel:
         self._watch(film)
         return film
 
-    def _count(self, task: str, seed: SeedPath) -> Counter[str]:
+    def _count(self, seed: SeedPath) -> Counter[str]:
         counts: Counter[str] = Counter()
         draws = failed = 0
-        text = task_text(task)
+        try:
+            text = task_text(self.chosen)
+        except RoboximError as error:
+            self._tell(str(error), alert=True)
+            return counts
         for done, index in enumerate(range(COUNTED), start=1):
             if self._cancel.is_set() or self._bench.stopping.is_set():
                 break

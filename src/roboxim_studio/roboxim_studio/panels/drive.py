@@ -113,7 +113,7 @@ class DrivePanel:
         self._tell(f"drawing index {index} ...")
         try:
             assert desk is not None or not edited
-            text = as_yaml(desk.document) if edited and desk is not None else task_text(str(self._compose.chosen))
+            text = as_yaml(desk.document) if edited and desk is not None else task_text(self._compose.chosen)
             draw = self._lab.draw(text, seed)
             self._view.load(draw.scene)
             self._judging = []

@@ -54,6 +54,7 @@ class EditorPanel:
         self.selected = NOTHING
         """The entity, ``camera <name>`` or ``start of the hand`` that the gizmo moves."""
         self._gizmo: Any = None
+        self._plan: Any = None
         self._labels: list[Any] = []
         self._fresh: list[Any] = []
         self._lock = threading.RLock()
@@ -76,6 +77,7 @@ class EditorPanel:
             self.desk.on_change.append(self._changed)
             self.desk.on_checks.append(self._checked)
             self.desk.on_pictures.append(self._pictures)
+            self.desk.on_plan.append(self._planned)
             for handle in self._fresh:
                 handle.remove()
             self._fresh, self._images = [], {}
@@ -89,6 +91,7 @@ class EditorPanel:
     def hide(self) -> None:
         """Leave the view to another panel; the document stays."""
         self.active = False
+        self._forget_plan()
         self.select(NOTHING)
         for label in self._labels:
             label.remove()
@@ -99,8 +102,8 @@ class EditorPanel:
         if self.desk is not None:
             self.active = True
             self._view.load(self.desk.scene)
-            self._changed()
             self._checked()
+            self.desk.refresh()
             self._site.tell(hint=HINT, alert="")
 
     def _build(self) -> None:
@@ -263,6 +266,7 @@ class EditorPanel:
         with self._lock:
             if self.desk is None:
                 return
+            self._forget_plan()
             if self.active:
                 try:
                     self._view.load(self.desk.scene)
@@ -309,6 +313,21 @@ class EditorPanel:
                     label = self._site.viser.scene.add_label(f"/edit/finding_{number}", finding.constraint)
                     label.position = (x, y, z + 0.08 + 0.03 * number)
                     self._labels.append(label)
+
+    def _planned(self, path: npt.NDArray[np.float64]) -> None:
+        """Show the way of the tool in the expert's plan."""
+        with self._lock:
+            self._forget_plan()
+            if self.active and len(path) > 1:
+                self._plan = self._site.viser.scene.add_line_segments(
+                    "/edit/plan", np.stack([path[:-1], path[1:]], axis=1).astype(np.float32), colors=(250, 176, 5),
+                    thickness=2.5, thickness_units="screen",
+                )  # fmt: skip
+
+    def _forget_plan(self) -> None:
+        if self._plan is not None:
+            self._plan.remove()
+            self._plan = None
 
     def _pictures(self, images: Mapping[str, npt.NDArray[np.uint8]]) -> None:
         with self._lock:

@@ -19,8 +19,6 @@ from roboxim_studio.serving.site import Site
 NOTHING = "nothing"
 BESIDE_M = 1.7
 """Distance of the second view from the first [m]."""
-POLICIES = ("random",)
-"""Policies that need no checkpoint, offered beside the expert; others by their specification."""
 
 
 class WhatIfPanel:
@@ -38,8 +36,7 @@ class WhatIfPanel:
         gui = self._gui
         self.folder = gui.add_folder("What if", expand_by_default=False, visible=False)
         with self.folder:
-            self._actor = gui.add_dropdown("Then acts", (*ACTORS, *POLICIES), initial_value=ACTORS[1])
-            self._policy = gui.add_text("or policy", initial_value="", hint="As evaluate --policy takes it")
+            self._actor = gui.add_dropdown("Then acts", (*ACTORS, *lab.policies), initial_value=ACTORS[1])
             self._moved: Any = gui.add_dropdown("Move", (NOTHING,), initial_value=NOTHING)
             self._by = gui.add_vector2("by x, y [m]", initial_value=(0.05, 0.0), step=0.005)
             self._without: Any = gui.add_dropdown("Without", (NOTHING,), initial_value=NOTHING)
@@ -58,7 +55,7 @@ class WhatIfPanel:
         film = self._episode.film
         if film is None:
             return None
-        chosen = str(self._policy.value).strip() or str(self._actor.value)
+        chosen = str(self._actor.value)
         moved, without = str(self._moved.value), str(self._without.value)
         x, y = self._by.value
         question = Question(

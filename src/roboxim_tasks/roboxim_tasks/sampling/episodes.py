@@ -17,6 +17,7 @@ from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_tasks.components import COMPONENTS, ResetContext
 from roboxim_tasks.config import TaskMix
 from roboxim_tasks.demonstration.solvable import CONSTRAINT, Solvability
+from roboxim_tasks.demonstration.solver import Solution
 from roboxim_tasks.fixed_scene import FixedTaskConfig, base_scene
 from roboxim_tasks.reach import START_CLEARANCE_M
 from roboxim_tasks.roles import Wording, description
@@ -157,6 +158,17 @@ class EpisodeGenerator:
             yield finding
         if slow and quick:
             yield from slow_findings(config.fixed.scene, context, self._visibility, self._solvability)
+
+    def solution(self, config: FixedTaskConfig, seed: SeedPath) -> Solution | None:
+        """Return the expert's motion in a given scene; None: this generator checks no solutions.
+
+        Raises:
+            PolicyError: When there is none.
+        """
+        if self._solvability is None:
+            return None
+        context = self.context(config, seed)
+        return self._solvability.solution(context.task, config.fixed.scene, context.seed.derived_seed("policy"))
 
     def _given(self, seed: SeedPath, config: FixedTaskConfig, task: TaskSpec, ordinal: int | None) -> SceneSpec:
         """Return a given scene, unless it violates a constraint."""
