@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
-from roboxim_eval.report.charts.course import Curve, course_chart
+from roboxim_eval.report.charts.course import Curve, course_chart, value_text
 from roboxim_eval.report.course import ConditionCourse, shown
 from roboxim_eval.report.films import Film
 from roboxim_eval.report.page import render
@@ -191,7 +191,8 @@ def episode_text(page: EpisodePage) -> str:
     lines += [text for text in (page.told, explained(page.reason) if page.reason else "", page.message) if text]
     if page.conditions:
         cause = cause_of(page.conditions, page.reason) if page.outcome != "success" else None
-        lines += ["", "conditions (> decided the outcome), from the first tick to the last:"]
+        decided = " (> decided the outcome)" if cause else ""
+        lines += ["", f"conditions{decided}, from the first tick to the last:"]
         rows = [
             (
                 f"{'>' if one is cause else ' '} {one.name}", f"{one.words} {one.limit_text}", state_of(one),
@@ -206,8 +207,7 @@ def episode_text(page: EpisodePage) -> str:
     for signals in page.signals:
         lines += ["", f"{signals.name}:"]
         lines += _aligned([
-            (f"  {curve.name}", f"{np.nanmin(curve.lines[0]):.3g} to {np.nanmax(curve.lines[0]):.3g}",
-             sparkline(curve.lines[0]))
+            (f"  {curve.name}", " to ".join(value_text(curve, end) for end in _ends(curve)), sparkline(curve.lines[0]))
             for curve in signals.curves
         ])  # fmt: skip
     lines += ["", "the scene held:"]
@@ -220,6 +220,11 @@ def episode_text(page: EpisodePage) -> str:
     if page.log or page.log_note:
         lines += ["", "what the policy printed:", *(f"  {line}" for line in (page.log or page.log_note).splitlines())]
     return "\n".join([*lines, *(f"note: {note}" for note in page.notes), "", page.commands])
+
+
+def _ends(curve: Curve) -> tuple[float, float]:
+    """Return the least and the greatest value of a curve's first line."""
+    return float(np.nanmin(curve.lines[0])), float(np.nanmax(curve.lines[0]))
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:

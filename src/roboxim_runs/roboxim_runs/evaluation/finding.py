@@ -10,7 +10,7 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_recorder.bag import BagReader, mcap_file
 from roboxim_recorder.run_bags import read_results
 from roboxim_runs.episodes.showing import Other
-from roboxim_runs.evaluation.report import RECORD_FILE, stored_record
+from roboxim_runs.evaluation.report import RECORD_FILE, inside, stored_record
 from roboxim_runs.evaluation.shown import MOST_OTHERS
 
 RESULTS_FILE = "results.jsonl"
@@ -51,6 +51,8 @@ def find_episode(place: Path, number: int | None = None, policy: str = "") -> Fo
         return _with_evaluation(_bag_of(place, number))
     if number is not None:
         raise ConfigError(f"{place} has no {RESULTS_FILE}, so it is no run whose episode {number} could be shown")
+    if place.is_dir() and not any(place.glob("*.mcap")) and not any(place.glob("*.db3")):
+        raise ConfigError(f"{place} is neither a bag nor the folder of a run or an evaluation{inside(place)}")
     bag = mcap_file(place)
     return _with_evaluation(
         bag if place.is_file() and bag.parent.name != BagReader(bag).info.episode_id else bag.parent

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
+from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.whole_files import write_whole
 from roboxim_eval.film_options import FilmOptions
@@ -19,7 +20,7 @@ from roboxim_runs.episodes.run import EpisodesJob
 from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
 from roboxim_runs.evaluation.shown import shown_runs, with_bags
 from roboxim_runs.policies.specs import ChosenPolicy
-from roboxim_runs.storage.folder import RunFolder
+from roboxim_runs.storage.folder import RESULTS_FILE, RunFolder
 from roboxim_runs.storage.store import readable_run
 
 RECORD_FILE = "evaluation.json"
@@ -67,7 +68,22 @@ def stored_record(out: Path) -> EvaluationRecord:
         ConfigError: When the folder has none, or it is damaged.
     """
     file = out / RECORD_FILE
+    if out.is_dir() and not file.exists():
+        raise ConfigError(f"{out} is not an evaluation's folder: there is no {file}{inside(out)}")
     return from_plain(read_json_object(file), EvaluationRecord, source=str(file))
+
+
+def inside(folder: Path) -> str:
+    """Return which evaluations and runs a folder holds, as the end of an error; empty: none."""
+    found = sorted(
+        {
+            file.parent
+            for name in (RECORD_FILE, RESULTS_FILE)
+            for depth in ("*", "*/*")
+            for file in folder.glob(f"{depth}/{name}")
+        }
+    )
+    return f"; in it are {', '.join(map(str, found[:4]))}{' and others' * (len(found) > 4)}" if found else ""
 
 
 def report_of(out: Path, record: EvaluationRecord | None = None, *, page: bool = True) -> EvaluationResult:

@@ -60,6 +60,7 @@ def test_an_episode_is_found_by_its_bag_or_its_number(evaluated: Path) -> None:
         (evaluated, 7, "", "has no episode 7; it has 0"), (evaluated, None, "", "say which one, e.g. roboxim show"),
         (evaluated, 0, "bc", "no policy 'bc'"), (evaluated / "zero", 0, "zero", "is not an evaluation's folder"),
         (by_number.bag, 3, "", "is no run whose episode 3"),
+        (evaluated.parent, None, "", "neither a bag nor .*evaluated"),
     ):  # fmt: skip
         with pytest.raises(ConfigError, match=said):
             find_episode(place, number, policy)

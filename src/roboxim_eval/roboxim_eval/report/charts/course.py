@@ -74,15 +74,16 @@ def course_chart(curve: Curve) -> Markup:
     )  # fmt: skip
     ends = [
         element("span", text or "\u00a0", class_=place)
-        for place, text in (("high", "" if still else _text(curve, high)), ("low", _text(curve, low + still)))
+        for place, text in (("high", "" if still else value_text(curve, high)), ("low", value_text(curve, low + still)))
     ]
-    values = [[_text(curve, float(value)) for value in line] for line in curve.lines]
+    values = [[value_text(curve, float(value)) for value in line] for line in curve.lines]
     return element(
         "div", [*ends, picture, element("output", "\u00a0")], class_="course-chart", data_values=json.dumps(values)
     )  # fmt: skip
 
 
-def _text(curve: Curve, value: float) -> str:
+def value_text(curve: Curve, value: float) -> str:
+    """Return a value of a curve as people read it; empty: none."""
     if not math.isfinite(value):
         return ""
     return shown(curve.measure, value) if curve.measure else f"{0.0 if abs(value) < STILL else value:.3g}"
