@@ -100,9 +100,11 @@ photo: setup ## install Blender (GPL) in its own environment, for roboxim rerend
 scale: setup ## add Ray, S3 and a stand-in for S3 to .venv, for --executor ray, --store and their tests
 	@$(BIN)/python scripts/add_packages.py scale
 
-robot-visuals: setup ## rebuild the robots' URDFs and decimated meshes from the example-robot-data wheel
+robot-visuals: setup ## rebuild the robots' URDFs, SRDFs and meshes from the wheels that they come from
+	@$(BIN)/python scripts/add_packages.py robots
 	$(BIN)/python config/robots/panda/derive.py
 	$(BIN)/python config/robots/ur5/derive.py
+	for recipe in config/robots/*/recipe.yaml; do $(BIN)/roboxim robot new $$recipe --out config || exit 1; done
 
 release: setup ## build the distributions into dist/, install and run them in empty environments; ARGS="--python 3.12"
 	@.venv/bin/python scripts/make_environment.py release

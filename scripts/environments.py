@@ -24,7 +24,7 @@ LOCKS = ROOT / "requirements"
 UV = TOOLS / "uv" / "bin" / "uv"
 PYTHON = os.path.realpath(getattr(sys, "_base_executable", None) or sys.executable)
 
-EVERY_PYTHON = ("build", "dev", "installer", "release", "scale")
+EVERY_PYTHON = ("build", "dev", "installer", "release", "robots", "scale")
 """Locks for each Python that RoboXim runs on; the others are for 3.11, which their packages want."""
 
 # Variables of a ROS installation or a Python environment, which must not reach a build.

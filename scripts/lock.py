@@ -67,17 +67,17 @@ def lock(name: str, requirements: list[str], *options: str, without: tuple[str, 
     print(f"requirements/{name}.lock: {sum(line[:1].isalnum() for line in text.splitlines())} packages")
 
 
-def lock_scale(*options: str) -> None:
-    """Resolve the packages that `make scale` adds to the environment of dev.lock, with that one's versions."""
+def lock_added(name: str, *options: str) -> None:
+    """Resolve the packages that are added to the environment of dev.lock, with that one's versions."""
     pinned = re.findall(
         r"^([a-z0-9][^=]*)==(\S+)(?: \\| ; python_full_version)", (LOCKS / "dev.lock").read_text(), flags=re.MULTILINE
     )  # without those that dev.lock has for other systems only
-    constraints = [f"{name}=={version}" for name, version in pinned if name not in OTHER_FOR_SCALE]
+    constraints = [f"{package}=={version}" for package, version in pinned if package not in OTHER_FOR_SCALE]
     with tempfile.NamedTemporaryFile("w", suffix=".txt") as file:
         file.write("\n".join(constraints))
         file.flush()
         there = tuple(f"{constraint} " for constraint in constraints)
-        lock("scale", group("scale"), "--constraints", file.name, *options, without=there)
+        lock(name, group(name), "--constraints", file.name, *options, without=there)
 
 
 def main() -> None:
@@ -89,7 +89,8 @@ def main() -> None:
     ours = [part for name in ("interfaces", "planner-native") for part in ("--no-emit-package", f"roboxim-{name}")]
     extras = [part for name in ("learn", "lerobot", "studio") for part in ("--extra", name)]
     lock("dev", [], "pyproject.toml", "--group", "dev", *extras, *ours, *upgrade)
-    lock_scale(*upgrade)
+    for name in ("scale", "robots"):
+        lock_added(name, *upgrade)
     lock("build", build_requirements() + group("build"), *upgrade)
     lock("release", group("release"), *upgrade)
     lock("colcon", build_requirements() + group("colcon"), *upgrade)

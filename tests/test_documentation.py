@@ -26,7 +26,7 @@ from roboxim_ros.testing import PATIENCE_S
 
 ROOT = Path(__file__).parents[1]
 FILES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
-OWN_NAMES = ("teapot", "pepper_mill", "shake")
+OWN_NAMES = ("teapot", "pepper_mill", "shake", "my_arm")
 """Objects and skills that the documentation instructs the reader to create."""
 
 

@@ -14,11 +14,12 @@ from pathlib import Path
 import cmeel
 import trimesh
 
+from roboxim_runs.robots.convex_parts import around, convex_parts
+from roboxim_runs.robots.decimation import visual
+
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
-from collada import read_collada  # noqa: E402 - in the parent folder
-from decimate import visual  # noqa: E402
-from decompose import around, convex_parts  # noqa: E402
+from dae import read_collada  # noqa: E402 - in the parent folder
 
 SOURCE = Path(cmeel.__path__[0]).parent / "cmeel.prefix/share/example-robot-data/robots/panda_description"
 TRIANGLES, FINGER_TRIANGLES = 1130, 400
@@ -27,7 +28,7 @@ TRIANGLES, FINGER_TRIANGLES = 1130, 400
 
 def drawn(source: Path) -> trimesh.Scene:
     """Return the decimated meshes of a link."""
-    return visual(source, triangles=FINGER_TRIANGLES if source.stem == "finger" else TRIANGLES)
+    return visual(read_collada(source), triangles=FINGER_TRIANGLES if source.stem == "finger" else TRIANGLES)
 
 
 def stale() -> list[str]:
@@ -49,7 +50,7 @@ def forearm_parts() -> list[trimesh.Trimesh]:
     """Return convex parts of the forearm's visual mesh: its collision mesh fills the hollow under the bend."""
     meshes = [mesh for _, mesh in read_collada(SOURCE / "meshes/visual/link5.dae")]
     drawn_one = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes])
-    return [around(part.vertices) for part in convex_parts(drawn_one, worth=0.02, most=4)]
+    return [around(part.vertices) for part in convex_parts(drawn_one, min_gain=0.02, max_parts=4)]
 
 
 def main() -> int:

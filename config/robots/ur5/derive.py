@@ -18,18 +18,20 @@ import numpy as np
 import pinocchio as pin
 import trimesh
 
+from roboxim_runs.robots.convex_parts import convex_parts
+from roboxim_runs.robots.decimation import visual
+
 HERE = Path(__file__).resolve().parent
 PANDA = HERE.parent / "panda"
 SOURCE = Path(cmeel.__path__[0]).parent / "cmeel.prefix/share/example-robot-data/robots/ur_description"
 SAMPLES = 10_000
-WORTH = 0.03
+MIN_GAIN = 0.03
 """Fraction of a link's hull that another convex part must save. With one hull per link, links that do not touch appear
 to collide in a quarter of all states."""
 TRIANGLES, UPPERARM_TRIANGLES = 4500, 9000  # the caps are thin shells, which fewer triangles would tear
 
 sys.path.append(str(HERE.parent))
-from decimate import visual  # noqa: E402 - in the parent folder
-from decompose import convex_parts  # noqa: E402
+from dae import read_collada  # noqa: E402 - in the parent folder
 
 
 def main() -> None:
@@ -40,12 +42,12 @@ def main() -> None:
     for source in sorted((SOURCE / "meshes/ur5/visual").glob("*.dae")):
         triangles = UPPERARM_TRIANGLES if source.stem == "upperarm" else TRIANGLES
         (HERE / "visual" / f"{source.stem}.glb").write_bytes(
-            visual(source, triangles=triangles, linear=True).export(file_type="glb", include_normals=True)
+            visual(read_collada(source, linear=True), triangles=triangles).export(file_type="glb", include_normals=True)
         )
     whole = arm()[: -len("</robot>")] + hand() + "</robot>\n"
     urdf = whole
     for source in sorted((SOURCE / "meshes/ur5/collision").glob("*.stl")):
-        parts = convex_parts(trimesh.load_mesh(source), worth=WORTH, most=8)
+        parts = convex_parts(trimesh.load_mesh(source), min_gain=MIN_GAIN, max_parts=8)
         names = [f"{source.stem}_{k}.stl" for k in range(1, len(parts) + 1)] if len(parts) > 1 else [source.name]
         for name, part in zip(names, parts, strict=True):
             part.export(HERE / "collision" / name)

@@ -182,6 +182,7 @@ SHARED: dict[str, dict[str, Any]] = {
         help="Texture of table, floor or wall, e.g. table=marble or table=./oak.jpg; may be repeated.",
     ),
     "look": dict(default="", metavar="SET", help="Set of looks in config/looks, e.g. varied, drawn for each episode."),
+    "robot": dict(type=Named("robot"), default="", help="Arm in config/robots that stands in the scene instead."),
     "out": dict(type=click.Path(path_type=Path), show_default=True),
     "episodes": dict(type=click.IntRange(1), show_default=True),
     "seed": dict(type=click.IntRange(0), default=0, show_default=True, help="Seed of the run."),
@@ -212,7 +213,9 @@ SHARED: dict[str, dict[str, Any]] = {
 """Options that several commands have, which mean the same everywhere; a command may change the help and the default."""
 
 
-TASK_WORDS = ("task", "skill", "suite", "object", "distractors", "colors", "camera", "light", "texture", "look")
+TASK_WORDS = (
+    "task", "skill", "suite", "object", "distractors", "colors", "camera", "light", "texture", "look", "robot",
+)  # fmt: skip
 """Options that choose a task and change it, as `roboxim_runs.episodes.task_choice.task_text` takes them."""
 
 

@@ -18,10 +18,9 @@ from roboxim_core.errors import ConfigError, RoboximError, one_of
 from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.modifiers import PHYSICAL, ModifierModel
-from roboxim_core.specs import Scalar, SceneSpec
+from roboxim_core.specs import Scalar
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
-from roboxim_tasks.files import named
 from roboxim_tasks.roles import SPOKEN, Role
 from roboxim_tasks.sampling.exclusions import MODEL, all_excluded
 from roboxim_tasks.skills import SKILLS, Skill
@@ -89,10 +88,14 @@ def check_scene(document: Document, config: TaskConfig) -> None:
     """Check the base scene of a task.
 
     Raises:
-        ConfigError: When the scene is unknown, its file is invalid, or the control rate does not suit it.
+        ConfigError: When scene or arm are unknown, the file is invalid, or the control rate does not suit it.
     """
     with document.section(("scene",)):
-        scene = named("scenes", config.scene, SceneSpec)
+        scene = config.base_scene()
+    with document.section(("robot",)):
+        library = ModelLibrary()
+        if config.robot and config.robot not in library.robot_ids:
+            raise ConfigError(f"unknown robot '{config.robot}'; {one_of(library.robot_ids, config.robot)}")
     with document.section(("rate_hz",)):
         replace(scene, control_rate_hz=config.rate_hz)
 

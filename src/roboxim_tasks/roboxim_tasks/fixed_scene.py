@@ -16,7 +16,6 @@ from roboxim_core.plain_data.merging import merged
 from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 from roboxim_tasks.checks import Document
-from roboxim_tasks.files import named
 from roboxim_tasks.roles import DISTRACTOR, STAY
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.task_config import TaskConfig, VisibleConfig
@@ -63,6 +62,10 @@ class FixedTaskConfig(TaskConfig):
 
     fixed: FixedScene
     """The scene."""
+
+    def base_scene(self) -> SceneSpec:
+        """Return the given scene."""
+        return self.fixed.scene
 
     def task(self, purpose: str, library: ModelLibrary) -> TaskSpec:
         """Return the task.
@@ -146,12 +149,3 @@ def _check_roles(document: Document, file: FixedTask, library: ModelLibrary) -> 
         raise document.error(where, "two roles have the same entity; each needs one of its own")
     if not fixed.instruction.strip():
         raise document.error((FIXED, "instruction"), "expected a text, got none")
-
-
-def base_scene(config: TaskConfig) -> SceneSpec:
-    """Return the scene that a reset begins with: the given one, or the named one of ``config/scenes``.
-
-    Raises:
-        ConfigError: When its file is missing or invalid.
-    """
-    return config.fixed.scene if isinstance(config, FixedTaskConfig) else named("scenes", config.scene, SceneSpec)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.rates import DEFAULT_RATE_HZ
-from roboxim_core.specs import Scalar
+from roboxim_core.specs import Scalar, SceneSpec
 from roboxim_tasks.choices import Choice
+from roboxim_tasks.files import named
 
 MAX_DISTRACTORS = 8
 
@@ -107,6 +108,8 @@ class TaskConfig:
     """Further objects."""
     scene: str = "empty_table"
     """Name of a scene in ``config/scenes``."""
+    robot: str = ""
+    """Arm in ``config/robots`` that stands in the scene instead of its own; empty: the scene's."""
     reset: dict[str, Any] = field(default_factory=dict)
     """Reset component to its configuration; the skill's own components may be omitted."""
     visible: VisibleConfig = VisibleConfig()
@@ -131,6 +134,17 @@ class TaskConfig:
     def at(self, index: int) -> tuple[TaskConfig, int]:
         """Return the configuration of an episode and its index into ordered lists: this one and the given index."""
         return self, index
+
+    def base_scene(self) -> SceneSpec:
+        """Return the scene that a reset begins with: the file's, with the task's arm.
+
+        Raises:
+            ConfigError: When the scene is unknown or its file is invalid.
+        """
+        scene = named("scenes", self.scene, SceneSpec)
+        if self.robot and self.robot != scene.robot.model:
+            scene = replace(scene, robot=replace(scene.robot, model=self.robot, joint_positions=()))
+        return scene
 
     def drawn(self, index: int) -> dict[str, str]:
         """Return the names that an episode's task records besides its draws: none, which only mixes have."""

@@ -26,7 +26,6 @@ from roboxim_policies import BasePolicy
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_sim.rendering import RENDERERS
 from roboxim_tasks.config import TaskMix, parse_task_config
-from roboxim_tasks.fixed_scene import base_scene
 from roboxim_tasks.task_config import TaskConfig
 
 DRAWS = 20
@@ -118,7 +117,7 @@ class EpisodeSession:
         self._text = task_text(config.task)
         parsed = parse_task_config(self._text)
         self._cells: tuple[TaskConfig, ...] = parsed.cells if isinstance(parsed, TaskMix) else (parsed,)
-        self._scenes = [base_scene(cell) for cell in self._cells]
+        self._scenes = [cell.base_scene() for cell in self._cells]
         self.cameras = self._camera_sizes()
         """Camera to (width, height) [px]."""
         robots = {scene.robot.model for scene in self._scenes}
@@ -252,7 +251,7 @@ class EpisodeSession:
         names = set()
         for cell in self._cells:
             reset: Any = cell.reset.get("cameras")
-            scene = base_scene(cell)
+            scene = cell.base_scene()
             views = {camera.name: [camera] for camera in scene.cameras}
             if reset:
                 files = {name: reset.views[name].values if name in reset.views else (name,) for name in reset.names}

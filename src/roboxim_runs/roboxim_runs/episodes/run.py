@@ -64,6 +64,8 @@ class EpisodesConfig:
     """``SURFACE=NAME`` for table, floor or wall; empty: as configured."""
     look: str = ""
     """Set of looks in ``config/looks``, e.g. ``varied``, drawn for each episode; empty: as configured."""
+    robot: str = ""
+    """Arm in ``config/robots``, e.g. ``xarm7``; empty: the scene's."""
     seed: int = 0
     """Seed of the run."""
     workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
@@ -145,7 +147,7 @@ class EpisodesConfig:
         return task_text(
             self.task, skill=self.skill, suite=self.suite, objects=self.objects, distractors=self.distractors,
             colors=self.colors,
-            cameras=self.cameras, lights=self.lights, textures=self.textures, look=self.look,
+            cameras=self.cameras, lights=self.lights, textures=self.textures, look=self.look, robot=self.robot,
         )  # fmt: skip
 
     def sized(self, task_config: str, on_event: OnEvent) -> Self:

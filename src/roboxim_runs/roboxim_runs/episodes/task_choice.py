@@ -39,6 +39,7 @@ def task_text(
     lights: Sequence[str] = (),
     textures: Sequence[str] = (),
     look: str = "",
+    robot: str = "",
 ) -> str:
     """Return a task configuration as YAML text, with the command line's overrides.
 
@@ -54,6 +55,7 @@ def task_text(
         lights: Names in ``config/lights``; several: one is drawn for each episode.
         textures: ``SURFACE=NAME`` for table, floor or wall; several of one surface: one is drawn for each episode.
         look: Set of looks in ``config/looks``, one of which is drawn for each episode.
+        robot: Arm in ``config/robots``; empty: the scene's.
 
     Raises:
         ConfigError: When the task or skill is unknown, or the result is not valid.
@@ -63,7 +65,7 @@ def task_text(
     text, source = _base(task, _words(skill), suite)
     any_task_config(parse_yaml(text, source=source), source=source)
     reset = _reset_changes(cameras, lights, textures, look)
-    if not (objects or distractors or colors or reset):
+    if not (objects or distractors or colors or reset or robot):
         return text
     data: dict[str, Any] = yaml.safe_load(text) or {}
     changed = data
@@ -84,6 +86,8 @@ def task_text(
     if colors:
         target = changed.setdefault("objects", {}).setdefault("target", {})
         target.setdefault("modifiers", {})["color"] = {"values": [color.strip() for color in colors.split(",")]}
+    if robot:
+        changed["robot"] = robot
     if reset:
         changed["reset"] = merged(changed.get("reset") or {}, reset)
     comments = "".join(f"{line}\n" for line in text.splitlines() if line.startswith("# ") and ": sha256 " in line)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
-from roboxim_core.specs import SceneSpec
 from roboxim_runs.episodes.run import EpisodesJob
 from roboxim_runs.evaluation.results import PolicyResult
 from roboxim_runs.policies.specs import ChosenPolicy
@@ -25,12 +24,6 @@ def cells_of(task_config: str) -> Sequence[TaskConfig]:
     return config.cells if isinstance(config, TaskMix) else (config,)
 
 
-def _scene(cell: TaskConfig) -> SceneSpec:
-    from roboxim_tasks.fixed_scene import base_scene
-
-    return base_scene(cell)
-
-
 def require_cameras(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) -> None:
     """Refuse a policy that needs a camera which the task's scenes lack, where its cameras are known.
 
@@ -39,7 +32,7 @@ def require_cameras(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig])
     """
     for cell in cells:
         reset = cell.reset.get("cameras")
-        have = list(reset.names) if reset else [camera.name for camera in _scene(cell).cameras]
+        have = list(reset.names) if reset else [camera.name for camera in cell.base_scene().cameras]
         for policy in chosen:
             for camera in policy.cameras:
                 if camera not in have:
@@ -58,7 +51,7 @@ def require_robots(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) 
     trained = {policy.name: policy.robot for policy in chosen if policy.robot}
     if not trained:
         return
-    robots = {_scene(cell).robot.model for cell in cells}
+    robots = {cell.base_scene().robot.model for cell in cells}
     for name, robot in trained.items():
         if robots != {robot}:
             raise ConfigError(

@@ -18,7 +18,7 @@ from roboxim_tasks.components import COMPONENTS, ResetContext
 from roboxim_tasks.config import TaskMix
 from roboxim_tasks.demonstration.solvable import CONSTRAINT, Solvability
 from roboxim_tasks.demonstration.solver import Solution
-from roboxim_tasks.fixed_scene import FixedTaskConfig, base_scene
+from roboxim_tasks.fixed_scene import FixedTaskConfig
 from roboxim_tasks.reach import START_CLEARANCE_M
 from roboxim_tasks.roles import Wording, description
 from roboxim_tasks.sampling.generators import GenerationContext
@@ -104,7 +104,7 @@ class EpisodeGenerator:
         if isinstance(cell, FixedTaskConfig):
             return task
         context = self._context(seed.of_task(task.drawn), cell, task, ordinal)
-        self._begin(context, base_scene(cell))
+        self._begin(context, cell.base_scene())
         return replace(task, drawn=task.drawn | context.drawn)
 
     def reset(self, seed: SeedPath, config: TaskConfig, task: TaskSpec, ordinal: int | None = None) -> SceneSpec:
@@ -119,7 +119,7 @@ class EpisodeGenerator:
         """
         if isinstance(config, FixedTaskConfig):
             return self._given(seed, config, task, ordinal)
-        base = base_scene(config)
+        base = config.base_scene()
         wording = Wording.of_task(task, SKILLS[config.skill].roles, self._library)
         _check_unambiguous(base, config, task, wording)
         context = self._context(seed, config, task, ordinal)
@@ -187,7 +187,7 @@ class EpisodeGenerator:
             config=config,
             task=task,
             library=self._library,
-            arm=self._arm(base_scene(config).robot.model),
+            arm=self._arm(config.base_scene().robot.model),
             ordinal=ordinal,
             way_blocked=partial(self._solvability.way_blocked, task) if self._solvability else None,
         )

@@ -29,7 +29,6 @@ from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.files import named
 from roboxim_tasks.handling import DROP_M
 from roboxim_tasks.measures import Condition, Conditions, Measure, above, offset, shift, table_force
 from roboxim_tasks.motion import ExpertScene, Stage
@@ -104,7 +103,7 @@ class PlaceRelation(Skill):
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task, and record the direction in the world."""
         task = generate_task(context)
-        robot = named("scenes", context.config.scene, SceneSpec).robot.pose
+        robot = context.config.base_scene().robot.pose
         sign = 1.0 if task.arguments["viewpoint"] == "robot" else -1.0
         x, y, _ = robot.rotation.apply((*self.direction, 0.0)) * sign
         return replace(task, arguments=task.arguments | {"direction_x": float(x), "direction_y": float(y)})

@@ -25,7 +25,6 @@ from roboxim_core.poses import Pose
 from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.files import named
 from roboxim_tasks.handling import touching_links
 from roboxim_tasks.measures import Condition, Conditions, Measure, above, joint_highest_ever, joint_value
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
@@ -76,7 +75,7 @@ class PushButton(Skill):
         task = generate_task(context)
         target = task.objects["target"]
         (point, *_) = context.library.object(target.model, target.modifiers).press_points
-        robot = context.library.robot(named("scenes", context.config.scene, SceneSpec).robot.model)
+        robot = context.library.robot(context.config.base_scene().robot.model)
         fingers = " ".join(robot.gripper.links[1:])
         return replace(task, arguments=task.arguments | {"joint": point.joint, "fingers": fingers})
 

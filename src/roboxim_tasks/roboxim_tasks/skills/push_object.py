@@ -27,7 +27,6 @@ from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.files import named
 from roboxim_tasks.handling import not_carried
 from roboxim_tasks.measures import Condition, Conditions, Measure, above, lift, table_force, tilt
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, shifted
@@ -108,7 +107,7 @@ class PushObject(Skill):
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task, and note the direction in the world."""
         task = generate_task(context, words={"direction": context.parameters.direction})
-        robot = named("scenes", context.config.scene, SceneSpec).robot.pose
+        robot = context.config.base_scene().robot.pose
         x, y, _ = robot.rotation.apply((*DIRECTIONS[str(task.arguments["direction"])], 0.0))
         return replace(task, arguments=task.arguments | {"direction_x": float(x), "direction_y": float(y)})
 

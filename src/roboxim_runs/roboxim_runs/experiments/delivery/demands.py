@@ -14,14 +14,13 @@ from typing import Any
 
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.modifiers import PHYSICAL
-from roboxim_core.specs import CameraSpec, LookSpec, SceneSpec
+from roboxim_core.specs import CameraSpec, LookSpec
 from roboxim_core.vision.cameras import load_camera
 from roboxim_eval.experiments.proving.delivery import Allowed, Demand, Value, View, plain_value
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.lights import LightsResetConfig
 from roboxim_tasks.components.physics import BodyConfig, PhysicsResetConfig
 from roboxim_tasks.config import TaskMix, task_mix
-from roboxim_tasks.files import named
 from roboxim_tasks.sampling.exclusions import taken
 from roboxim_tasks.task_config import TaskConfig
 
@@ -68,7 +67,7 @@ def demand_of(config: TaskConfig, *, words: str | None = None, latency_ticks: in
         areas = dict.fromkeys(area.roles, boxes)
     robot, cameras = config.reset.get("robot"), config.reset.get("cameras")
     physics: PhysicsResetConfig | None = config.reset.get("physics")
-    scene = named("scenes", config.scene, SceneSpec)
+    scene = config.base_scene()
     return Demand(
         skill=config.skill,
         arguments={name: _allowed(choice) for name, choice in config.arguments.items()},

@@ -10,8 +10,12 @@ import numpy as np
 import trimesh
 
 
-def read_collada(path: Path) -> list[tuple[tuple[int, ...], trimesh.Trimesh]]:
-    """Return the colour (0..255, as in the file) and the transformed mesh of each part of each geometry.
+def read_collada(path: Path, *, linear: bool = False) -> list[tuple[tuple[int, ...], trimesh.Trimesh]]:
+    """Return the colour (sRGB, 0..255) and the transformed mesh of each part of each geometry.
+
+    Args:
+        path: The file.
+        linear: Whether the file's colours are linear.
 
     Raises:
         ValueError: When the file uses features that this reader does not support.
@@ -30,7 +34,8 @@ def read_collada(path: Path) -> list[tuple[tuple[int, ...], trimesh.Trimesh]]:
                     diffuse = np.array(effect.find(".//diffuse/color").text.split()[:3], dtype=float)
                     mesh = _mesh(triangles, by_id)
                     mesh.apply_transform(matrix)
-                    found.append((tuple(int(c) for c in np.rint(255 * diffuse)), mesh))
+                    color = tuple(int(c) for c in np.rint(255 * diffuse))
+                    found.append((tuple(round(255 * (c / 255) ** (1 / 2.2)) for c in color) if linear else color, mesh))
     except (AttributeError, KeyError) as error:
         raise ValueError(f"{path} has more than triangles, matrices and diffuse colours: {error}") from None
     return found

@@ -1,14 +1,16 @@
-"""Visual meshes of robots from COLLADA files, shared by the robots' ``derive.py``."""
+"""Visual meshes of robots: fewer triangles, grouped by colour, with shading that hides the decimation."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Iterable
+from typing import Any
 
 import fast_simplification
 import numpy as np
+import numpy.typing as npt
 import trimesh
-from collada import read_collada
 
+Color = tuple[int, ...]
 TRIANGLES = 1600
 CREASE_RAD = np.radians(32.0)
 SLIVER_M = 0.002
@@ -17,25 +19,36 @@ WHITE = (233, 234, 236)  # the files contain 255, which no painted surface refle
 GLOSS = {255: 0.32, 230: 0.42, 64: 0.55}
 
 
-def visual(source: Path, *, triangles: int = TRIANGLES, linear: bool = False) -> trimesh.Scene:
-    """Decimate a COLLADA file's meshes and group them by colour.
+def visual(
+    parts: Iterable[tuple[Color, trimesh.Trimesh]], *, triangles: int = TRIANGLES, weld_m: float = 0.0
+) -> trimesh.Scene:
+    """Decimate coloured meshes and group them by colour.
 
     All meshes are decimated together, so that no gaps open between colours.
 
     Args:
-        source: The file.
+        parts: Colour (sRGB, 0..255) and mesh of each part.
         triangles: Target number of triangles.
-        linear: Whether the file's colours are linear instead of sRGB.
+        weld_m: Size of the cells whose vertices become one, which removes engraved text and double faces that would
+            not let a mesh collapse; 0: only equal vertices are welded [m].
     """
     vertices, faces, colors = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], []
-    for color, mesh in read_collada(source):
-        if linear:
-            color = tuple(round(255.0 * (c / 255.0) ** (1.0 / 2.2)) for c in color)
+    for color, mesh in parts:
         faces.append(mesh.faces + sum(len(points) for points in vertices))
         vertices.append(mesh.vertices)
         colors += [(230, 235, 237) if color == (229, 234, 237) else color] * len(mesh.faces)
-    points, index = np.unique(np.round(np.concatenate(vertices), 5), axis=0, return_inverse=True)
-    corners, color_of = decimated(points, index.reshape(-1)[np.concatenate(faces)], np.array(colors), triangles)
+    every, corner = np.concatenate(vertices), np.concatenate(faces)
+    if weld_m:
+        _, index = np.unique(np.round(every / weld_m).astype(np.int64), axis=0, return_inverse=True)
+        count = np.bincount(index.reshape(-1))
+        points = np.stack([np.bincount(index.reshape(-1), every[:, k]) / count for k in range(3)], axis=1)
+    else:
+        points, index = np.unique(np.round(every, 5), axis=0, return_inverse=True)
+    triangles_of = index.reshape(-1)[corner]
+    if weld_m:
+        _, first = np.unique(np.sort(triangles_of, axis=1), axis=0, return_index=True)
+        triangles_of, colors = triangles_of[np.sort(first)], [colors[k] for k in np.sort(first)]
+    corners, color_of = decimated(points, triangles_of, np.array(colors), triangles)
     result = trimesh.Scene()
     for color in sorted(set(map(tuple, color_of.tolist())), reverse=True):
         part = trimesh.Trimesh(*welded(corners[(color_of == color).all(axis=1)]), process=False)
@@ -52,8 +65,8 @@ def visual(source: Path, *, triangles: int = TRIANGLES, linear: bool = False) ->
 
 
 def decimated(
-    points: np.ndarray, faces: np.ndarray, colors: np.ndarray, triangles: int
-) -> tuple[np.ndarray, np.ndarray]:
+    points: npt.NDArray[Any], faces: npt.NDArray[Any], colors: npt.NDArray[Any], triangles: int
+) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Return coarser triangles, shape (M, 3, 3), and their colours, shape (M, 3)."""
     kept = whole(faces)
     faces, colors = faces[kept].astype(np.int32), colors[kept]
@@ -91,13 +104,13 @@ def softened(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(both[:, :3], index.reshape(-1, 3), vertex_normals=both[:, 3:], process=False)
 
 
-def whole(faces: np.ndarray) -> np.ndarray:
+def whole(faces: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return which faces have three different corners."""
     a, b, c = faces.T
     return (a != b) & (b != c) & (c != a)
 
 
-def welded(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def welded(corners: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Return vertices and faces of triangles, shape (M, 3, 3)."""
     vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     return vertices, index.reshape(-1, 3)

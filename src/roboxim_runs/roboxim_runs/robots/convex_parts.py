@@ -1,4 +1,4 @@
-"""Decomposition of a mesh into convex parts that cover it, for the robots' ``derive.py`` and strongly concave links.
+"""Decomposition of a mesh into convex parts that cover it.
 
 The mesh is cut repeatedly by a plane perpendicular to an axis, where the hulls of the two pieces are smallest. The hull
 of a piece contains the piece, so the parts contain the mesh: a body that touches the mesh also touches a part.
@@ -16,18 +16,18 @@ PLANES = 40
 """Number of cuts to try along each axis."""
 
 
-def convex_parts(mesh: trimesh.Trimesh, *, worth: float, most: int) -> list[trimesh.Trimesh]:
+def convex_parts(mesh: trimesh.Trimesh, *, min_gain: float, max_parts: int) -> list[trimesh.Trimesh]:
     """Cut a closed mesh into pieces and return their convex hulls.
 
     Args:
         mesh: The mesh.
-        worth: Minimum fraction of the whole hull's volume that a cut must save.
-        most: Maximum number of parts.
+        min_gain: Minimum fraction of the whole hull's volume that a cut must save.
+        max_parts: Maximum number of parts.
     """
     pieces = [np.asarray(mesh.triangles, dtype=float)]
     cuts = [_best_cut(pieces[0])]
-    least = worth * _volume(pieces[0])
-    while len(pieces) < most:
+    least = min_gain * _volume(pieces[0])
+    while len(pieces) < max_parts:
         k = int(np.argmax([saved for saved, _ in cuts]))
         saved, halves = cuts[k]
         if saved < least:

@@ -1,0 +1,94 @@
+"""What `roboxim robot new` needs to know beyond a URDF: the mount of the gripper, and limits that a URDF lacks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.poses import Vec3
+
+NAME_PATTERN = r"[a-z][a-z0-9_]*"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotRecipe:
+    """How a robot is derived from somebody's URDF. A YAML file, or the options of `roboxim robot new`."""
+
+    name: str
+    """Id of the robot: lower-case letters, digits and ``_``."""
+    urdf: str
+    """URDF file; relative to the recipe, or ``package:DISTRIBUTION/PATH`` in an installed wheel."""
+    title: str = ""
+    """What it is, for the comment of its file, e.g. ``Franka Research 3``."""
+    source: str = ""
+    """Where the URDF comes from, with version and licence."""
+    base: str = ""
+    """Root link of the arm; empty: the root of the URDF. What lies above it is left out."""
+    flange: str = ""
+    """Link that the gripper is mounted on; empty: the last one. What lies beyond it is left out."""
+    gripper: str = "franka_hand"
+    """Gripper; see `roboxim_runs.robots.grippers`."""
+    mount_xyz: Vec3 = (0.0, 0.0, 0.0)
+    """Position of the gripper in the flange [m]."""
+    mount_rpy: Vec3 = (0.0, 0.0, 0.0)
+    """Rotation of the gripper in the flange: z out of the flange, y along the opening [rad]."""
+    velocity: tuple[float, ...] = ()
+    """Joint speeds [rad/s]; one number: of all joints; empty: the URDF's."""
+    acceleration: tuple[float, ...] = ()
+    """Joint accelerations [rad/s^2], which a URDF does not have; one number: of all joints."""
+    jerk: tuple[float, ...] = ()
+    """Joint jerks [rad/s^3]; empty: the acceleration is reached in 50 ms."""
+    range_rad: float = 6.283185307179586
+    """Largest range of a joint [rad]; wider and continuous joints are cut to it, so that no search winds the arm up."""
+    home: tuple[float, ...] = ()
+    """Joint positions at home [rad]; empty: searched for, with the tool above the table's middle."""
+    triangles: int = 1200
+    """Triangles of a link's visual mesh. The renderer draws a coarse shape of a link with more faces than pixels."""
+
+    def __post_init__(self) -> None:
+        """Check what one value says about another."""
+        if not self.acceleration:
+            raise ConfigError(
+                "a URDF has no joint accelerations: give them from the maker's data sheet "
+                "(acceleration: [rad/s^2 of each joint], or --acceleration with one number for all joints)"
+            )
+        for name in ("velocity", "acceleration", "jerk"):
+            if any(value <= 0.0 for value in getattr(self, name)):
+                raise ConfigError(f"{name} must be greater than 0, got {list(getattr(self, name))}")
+
+
+def spread(values: tuple[float, ...], joints: int, name: str) -> tuple[float, ...]:
+    """Return a value for each joint.
+
+    Raises:
+        ConfigError: When there is neither one value nor one for each joint.
+    """
+    if len(values) not in (1, joints):
+        raise ConfigError(f"{name}: expected 1 or {joints} numbers, one for each joint of the arm, got {len(values)}")
+    return values * joints if len(values) == 1 else values
+
+
+def source_file(urdf: str, folder: Path) -> Path:
+    """Return the file that a recipe's ``urdf`` names.
+
+    Args:
+        urdf: Path, or ``package:DISTRIBUTION/PATH``.
+        folder: Folder that a path is relative to.
+
+    Raises:
+        ConfigError: When the distribution or the file is missing.
+    """
+    if not urdf.startswith("package:"):
+        path = (folder / urdf).resolve()
+    else:
+        from importlib import metadata
+
+        name, _, inner = urdf.removeprefix("package:").partition("/")
+        try:
+            path = Path(str(metadata.distribution(name).locate_file(inner)))
+        except metadata.PackageNotFoundError:
+            raise ConfigError(f"{urdf}: the distribution '{name}' is not installed: pip install {name}") from None
+    if not path.is_file():
+        raise ConfigError(f"no such URDF: {path}")
+    return path

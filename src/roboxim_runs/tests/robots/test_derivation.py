@@ -1,0 +1,118 @@
+"""A robot from a small URDF: the parts are there, the engines agree, and wrong input is explained."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_runs.robots.check import prove
+from roboxim_runs.robots.derivation import derive
+from roboxim_runs.robots.recipe import RobotRecipe
+
+JOINTS = (("0 0 0.15", "0 0 1"), ("0 0 0.15", "0 1 0"), ("0 0 0.35", "0 1 0"),
+          ("0 0 0.2", "0 0 1"), ("0 0 0.15", "0 1 0"), ("0 0 0.1", "0 0 1"))  # fmt: skip
+"""Origin and axis of each joint of an arm like a UR's, without its offsets."""
+
+
+def small_arm(folder: Path, **changes: str) -> Path:
+    """Write a six-joint arm of boxes and one mesh, and return its URDF."""
+    trimesh.creation.cylinder(0.05, 0.1).export(folder / "base.stl")
+    box = '<geometry><box size="0.06 0.06 0.06"/></geometry>'
+    mesh = '<geometry><mesh filename="package://somebody/base.stl"/></geometry>'
+    inertial = '<inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
+    inertial += "</inertial>"
+    kind = changes.get("type", "revolute")
+    limit = changes.get("limit", '<limit lower="-3" upper="3" velocity="2" effort="60"/>')
+    links = [f'<link name="world"/><link name="base"><visual>{mesh}</visual><collision>{mesh}</collision></link>']
+    joints = ['<joint name="fix" type="fixed"><parent link="world"/><child link="base"/></joint>']
+    for k, (xyz, axis) in enumerate(JOINTS, start=1):
+        inertial = (
+            '<inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+        )
+        links.append(f'<link name="l{k}"><visual>{box}</visual><collision>{box}</collision>{inertial}</link>')
+        joints.append(
+            f'<joint name="j{k}" type="{kind}"><parent link="{"base" if k == 1 else f"l{k - 1}"}"/>'
+            f'<child link="l{k}"/><origin xyz="{xyz}"/><axis xyz="{axis}"/>{limit}</joint>'
+        )
+    (folder / "package.xml").write_text("<package><name>somebody</name></package>")
+    path = folder / "arm.urdf"
+    path.write_text(f'<robot name="arm">{"".join(links)}{"".join(joints)}</robot>')
+    return path
+
+
+def recipe(urdf: Path, **changes: Any) -> RobotRecipe:
+    return RobotRecipe(
+        **{"name": "mine", "urdf": str(urdf), "acceleration": (5.0,), "mount_xyz": (0.0, 0.0, 0.03), **changes}
+    )
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made")
+    derive(recipe(small_arm(folder)), folder / "config" / "robots", say=lambda line: None)
+    return folder / "config"
+
+
+def test_the_arm_is_cut_out_named_and_fitted_with_a_hand(made: Path) -> None:
+    robot = ModelLibrary(made).robot("mine")
+    assert robot.base_link == "mine_base"
+    assert robot.joint_names == tuple(f"mine_j{k}" for k in range(1, 7))
+    assert robot.gripper.links == ("mine_hand", "mine_leftfinger", "mine_rightfinger")
+    assert robot.limits.acceleration == (5.0,) * 6
+    assert robot.limits.jerk == (100.0,) * 6
+    assert 'link1="mine_base" link2="mine_l1" reason="Adjacent"' in robot.srdf.read_text()
+    covered = trimesh.load_mesh(made / "robots" / "mine" / "collision" / "base_1_1.stl")
+    np.testing.assert_allclose(covered.extents, (0.1, 0.1, 0.1), atol=2e-3)
+
+
+def test_the_proofs_of_geometry_hold(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(made))
+    found = {}
+    for proof in prove("mine"):
+        found[proof.name] = proof
+        if proof.name == "reach":
+            break  # picking up is a slow test's
+    assert [name for name, proof in found.items() if not proof.holds] == [], found
+
+
+@pytest.mark.parametrize(
+    ("changes", "given", "said"),
+    [
+        ({}, {"flange": "l9"}, "no link 'l9' for the flange; its links are world, base, l1"),
+        ({}, {"base": "l3", "flange": "l2"}, "'l2' is not below 'l3'"),
+        ({}, {"gripper": "claw"}, "no gripper 'claw'"),
+        ({}, {"acceleration": (1.0, 2.0)}, "acceleration: expected 1 or 6 numbers, one for each joint"),
+        ({}, {"name": "My Arm"}, "expected lower-case letters"),
+        ({"type": "prismatic"}, {}, "an arm has revolute joints"),
+        ({"limit": '<limit lower="-3" upper="3" effort="60"/>'}, {}, "no velocity limit; give --velocity"),
+    ],
+)
+def test_what_is_missing_or_wrong_is_named(
+    tmp_path: Path, changes: dict[str, str], given: dict[str, Any], said: str
+) -> None:
+    urdf = small_arm(tmp_path, **changes)
+    with pytest.raises(ConfigError, match=said):
+        derive(recipe(urdf, **given), tmp_path / "robots", say=lambda line: None)
+    assert not list((tmp_path / "robots").glob("*.yaml")), "nothing is half-written"
+
+
+def test_accelerations_are_asked_for() -> None:
+    with pytest.raises(ConfigError, match="give them from the maker's data sheet"):
+        RobotRecipe(name="mine", urdf="arm.urdf")
+
+
+def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
+    urdf = small_arm(tmp_path)
+    (tmp_path / "base.stl").unlink()
+    with pytest.raises(ConfigError, match=r"cannot read the mesh .*base\.stl"):
+        derive(recipe(urdf), tmp_path / "robots", say=lambda line: None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ModelLibrary().robot_ids)
+def test_every_shipped_arm_is_proven(robot: str) -> None:
+    assert [proof for proof in prove(robot) if not proof.holds] == []
