@@ -16,7 +16,8 @@ from roboxim_core.errors import PlannerError, RoboximError
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.description import RobotModel
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.poses import Pose, Quat, Vec3
+from roboxim_core.poses import Pose, Vec3
+from roboxim_core.rotation.quaternions import Quat
 from roboxim_core.specs import RobotSpec
 from roboxim_planner.collisions.checker import CollisionWorld
 from roboxim_planner.ik import IkSolver

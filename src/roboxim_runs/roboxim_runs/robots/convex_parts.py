@@ -51,7 +51,8 @@ def around(points: npt.ArrayLike, directions: int = 100) -> trimesh.Trimesh:
     normals = np.concatenate([even, np.eye(3), -np.eye(3)])
     farthest = (inside @ normals.T).max(axis=0)
     corners = HalfspaceIntersection(np.column_stack([normals, -farthest]), inside.mean(axis=0)).intersections
-    return trimesh.convex.convex_hull(np.unique(np.round(corners, 9), axis=0))
+    hull: trimesh.Trimesh = trimesh.convex.convex_hull(np.unique(np.round(corners, 9), axis=0))
+    return hull
 
 
 def _best_cut(triangles: Array) -> tuple[float, list[Array]]:

@@ -107,7 +107,7 @@ def softened(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 def whole(faces: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return which faces have three different corners."""
     a, b, c = faces.T
-    return (a != b) & (b != c) & (c != a)
+    return np.asarray((a != b) & (b != c) & (c != a))
 
 
 def welded(corners: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:

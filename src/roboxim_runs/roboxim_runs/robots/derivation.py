@@ -243,7 +243,8 @@ class Arm:
     def _collision(self, link: Element, folder: Path) -> list[Element]:
         made = []
         for k, shape in enumerate(link.findall("collision")):
-            solid = trimesh.util.concatenate([mesh for _, mesh in coloured(shape, self.path, self._materials)])
+            meshes = [mesh for _, mesh in coloured(shape, self.path, self._materials)]
+            solid = trimesh.Trimesh(*trimesh.util.append_faces([m.vertices for m in meshes], [m.faces for m in meshes]))
             for i, part in enumerate(convex_parts(solid, min_gain=MIN_GAIN, max_parts=MAX_PARTS)):
                 file = f"collision/{link.get('name')}_{k + 1}_{i + 1}.stl"
                 part.export(folder / file)
