@@ -165,6 +165,8 @@ def _data(page: EpisodePage) -> Markup:
 
 SPARKS = "▁▂▃▄▅▆▇█"
 SPARK_WIDTH = 48
+FLAT = 1e-4
+"""Range of values, as a share of them, that is drawn as no change."""
 
 
 def sparkline(values: npt.ArrayLike, width: int = SPARK_WIDTH) -> str:
@@ -176,7 +178,7 @@ def sparkline(values: npt.ArrayLike, width: int = SPARK_WIDTH) -> str:
     parts = np.array_split(numbers, min(width, len(numbers)))
     means = np.array([part.mean() for part in parts])
     low, high = float(numbers.min()), float(numbers.max())
-    share = (means - low) / (high - low) if high - low > 1e-9 else np.zeros(len(means))
+    share = (means - low) / (high - low) if high - low > FLAT * max(1.0, abs(low), abs(high)) else np.zeros(len(means))
     return "".join(SPARKS[int(round(float(x) * (len(SPARKS) - 1)))] for x in share)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,7 +54,6 @@ def shown_runs(
         ConfigError: When stored facts are damaged, or a scene whose film is asked for is not recorded.
         RecorderError: With code ``BAG_DAMAGED`` when a bag is not whole.
     """
-    from roboxim_eval.report.charts.table_map import Place
     from roboxim_eval.report.films import chosen_scenes
     from roboxim_runs.episodes.facts import episode_facts
 
@@ -84,8 +83,15 @@ def shown_runs(
             _run(result, facts[name], scenes[name], shown, out, film=film, trained=name in trained, name=name)
             for name, result in found.items()
         ]
-    places = {Place(robot=f.robot, table=f.table) for mine in facts.values() for f in mine.values() if f.scene}
-    return runs, places.pop() if len(places) == 1 else None
+    return runs, place_of(fact for mine in facts.values() for fact in mine.values())
+
+
+def place_of(facts: Iterable[EpisodeFacts]) -> Place | None:
+    """Return where robot and table are; None: unknown, or not the same in all episodes."""
+    from roboxim_eval.report.charts.table_map import Place
+
+    places = {Place(robot=one.robot, table=one.table) for one in facts if one.scene}
+    return places.pop() if len(places) == 1 else None
 
 
 def _scenes(

@@ -20,6 +20,7 @@ from roboxim_eval.experiments.card import SCHEMA, Card
 from roboxim_eval.experiments.card_checks import check_card, design_of_card
 from roboxim_eval.experiments.cost import FILMS
 from roboxim_runs.episodes.facts import EpisodeFacts, episode_facts
+from roboxim_runs.evaluation.shown import place_of
 from roboxim_runs.experiments.card import (
     CARD_FILE,
     Scene,
@@ -35,6 +36,7 @@ from roboxim_runs.experiments.trained.policies import policy_of
 from roboxim_runs.policies.specs import PolicySpec
 
 if TYPE_CHECKING:
+    from roboxim_eval.report.charts.table_map import Place
     from roboxim_eval.report.episodes import Episode
 
 STATE_FILE = "experiment.json"
@@ -161,11 +163,19 @@ def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int 
                 shown[int(number)] = film_strip(frames)
     page = experiment_page(ExperimentPage(
         card=card, episodes=episodes, checkpoints=checkpoint_episodes(folder), films=shown,
-        command=reproduction(folder), warnings=told_by_scene(folder.design),
+        command=reproduction(folder), warnings=told_by_scene(folder.design), place=_place(folder),
     ))  # fmt: skip
     path = folder.path / REPORT_FILE
     write_whole(path, page)
     return path
+
+
+def _place(folder: ExperimentFolder) -> Place | None:
+    """Return where robot and table are; None: unknown, or not the same in all final evaluations."""
+    results = results_of(folder.design, folder.path)
+    stages = [stage_name(one.condition, one.replicate) for one in folder.design.evaluations if not one.checkpoint]
+    runs = ((evaluation_folder(folder.path, stage), results[stage].values()) for stage in stages)
+    return place_of(fact for run, rows in runs for fact in episode_facts(run, rows).values())
 
 
 def card_warnings(card: Card) -> tuple[str, ...]:
