@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import inspect
+import re
 import textwrap
 from collections.abc import Collection
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -18,7 +19,8 @@ def field_options(cls: type[Any], *, leave_out: Collection[str] = ()) -> list[cl
     """Return an option for each field of a configuration.
 
     Args:
-        cls: A dataclass whose fields are ``int``, ``float``, ``str``, ``bool`` or ``Literal``, all with defaults.
+        cls: A dataclass whose fields are ``int``, ``float``, ``str``, ``bool``, ``Literal`` or lists of words, all with
+            defaults.
         leave_out: Fields that get no option.
 
     Raises:
@@ -54,11 +56,16 @@ def _own_field_docs(cls: type[Any]) -> dict[str, str]:
 
 
 def _option(name: str, kind: Any, default: Any, doc: str) -> click.Option:
+    doc = re.sub(r"; see `[^`]*`", "", doc)  # a reference for readers of the code
     flag = f"--{name.replace('_', '-')}"
+    if kind == tuple[str, ...]:
+        return click.Option(
+            [flag, name], multiple=True, metavar=name.upper().rstrip("S"), help=f"{doc} May be repeated."
+        )
     if kind is bool:
-        return click.Option([f"{flag}/--no-{flag[2:]}"], default=default, show_default=True, help=doc)
+        return click.Option([f"{flag}/--no-{flag[2:]}", name], default=default, show_default=True, help=doc)
     if get_origin(kind) is Literal:
         kind = click.Choice(get_args(kind))
     elif kind not in (int, float, str):
         raise ConfigError(f"field '{name}' is of type {kind}, which has no command-line option")
-    return click.Option([flag], type=kind, default=default, show_default=True, help=doc)
+    return click.Option([flag, name], type=kind, default=default, show_default=default != "", help=doc)

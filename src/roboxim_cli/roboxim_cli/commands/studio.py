@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 from roboxim_cli import strict
 
 
-@strict.command()
+@strict.command(old={"--html": "--out"})
 @click.argument("what", default="", metavar="[RUN | BAG | DATASET | REPORT | TASK]")
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port to listen at; 0: any free one.")
 @click.option(
@@ -28,7 +28,7 @@ from roboxim_cli import strict
 )  # fmt: skip
 @click.option("--checkpoint", "checkpoints", multiple=True, metavar="DIR", help="Checkpoint of a policy, in order.")
 @click.option(
-    "--html", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
+    "--out", "html", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE",
     help="Write the episode of a bag as one HTML file that plays offline, and end.",
 )  # fmt: skip
 def command(
@@ -87,6 +87,6 @@ def _share(opened: Opened, html: Path) -> None:
     from roboxim_studio.sharing import share
 
     if opened.kind != Kind.BAG or opened.path is None:
-        raise click.UsageError("--html needs one bag, e.g. runs/demos/episodes/demo-0-00000-0")
+        raise click.UsageError("--out needs one bag, e.g. runs/demos/episodes/demo-0-00000-0")
     file = share(read_film(opened.path), ModelLibrary(), html)
     click.echo(f"{file}: {file.stat().st_size / 2**20:.1f} MiB")

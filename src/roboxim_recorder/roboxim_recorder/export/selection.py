@@ -46,7 +46,9 @@ class Selection:
     """Whether to export episodes in which the actor had to try again, e.g. needed a second grasp; a condition on
     ``recovered`` replaces it."""
     where: tuple[str, ...] = ()
-    """Conditions that every episode meets, e.g. ``skill=pick_up``; see `roboxim_recorder.export.where`."""
+    """Condition that every episode meets: ``KEY=VALUE[,VALUE...]``, ``KEY!=VALUE``, ``KEY<NUMBER``. Keys: ``skill``,
+    ``object``, ``target``, ``target.color``, ``camera``, ``outcome``, ``steps``, ``cell``, ``drawn.NAME``, ...; see
+    `roboxim_recorder.export.where`."""
     per_cell: int = 0
     """Number of episodes of each cell, the first ones that pass the filters; 0: all. A cell is that of the task's mix,
     else the skill."""
@@ -59,14 +61,14 @@ class Selection:
     rate_hz: float = 0.0
     """Steps per second; must divide the recorded rate. 0: as recorded."""
     actions: str = ""
-    """Meaning of the exported actions: values of `ActionSemantics`, separated by commas, e.g.
-    ``end_effector_absolute,rotation_6d`` or ``control=joint_position``. Empty: as recorded."""
+    """Meaning of the exported actions, e.g. ``end_effector_absolute,rotation_6d`` or
+    ``joint_position,absolute_open_0_closed_1``; see `roboxim_core.actions.ActionSemantics`. Empty: as recorded."""
     state: str = ""
-    """Fields of ``state``, separated by commas, of `roboxim_core.proprioception.ProprioField`; empty: position and 6D
-    rotation of the tool centre point, and the opening."""
+    """Fields of ``state``, e.g. ``tcp_position,tcp_quaternion_xyzw,gripper_opening``; see
+    `roboxim_core.proprioception.ProprioField`. Empty: ``tcp_position,tcp_rotation_6d,gripper_opening``."""
     convention: str = ""
-    """Name or YAML file of a convention (``config/conventions``), which says images, state, actions and rate; empty:
-    the fields above do."""
+    """Convention, a name or a YAML file, that says images, state, actions and rate, e.g. ``libero``; 'roboxim policy
+    conventions' lists them. Empty: the fields above do."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

@@ -66,78 +66,39 @@ def is_given(context: click.Context, name: str) -> bool:
     return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
 
 
+OWN = ("cameras", "image_width", "image_height", "split", "only_successful", "rate_hz")
+"""Fields of a selection that options set in another form."""
+
+
 def _common() -> list[click.Parameter]:
     """Return the arguments and options that all formats share."""
-    from roboxim_cli.options import Place
+    from roboxim_cli.field_options import field_options
+    from roboxim_cli.options import SHARED, Place
+    from roboxim_recorder.export import Selection
 
-    path = click.Path(path_type=Path)
+    size = {**SHARED["size"], "help": "Resize images to SIZE or WIDTHxHEIGHT; default: as recorded."}
     return [
         click.Argument(["source"], type=Place(), nargs=-1, required=True, metavar="RUN..."),
-        click.Option(["--out"], type=path, required=True, help="Folder of the dataset."),
+        click.Option(["--out"], type=click.Path(path_type=Path), required=True, help="Folder of the dataset."),
         click.Option(
             ["--for", "trainer"], default="", metavar="TRAINER",
             help="Trainer that reads it: act, diffusion, smolvla, pi0, openpi, groot, octo, bc, robomimic, ...",
         ),
         click.Option(
-            ["--where"], multiple=True, metavar="CONDITION",
-            help="Export episodes that meet a condition: KEY=VALUE[,VALUE...], KEY!=VALUE, KEY<NUMBER. Keys: skill, "
-            "object, target, target.color, camera, outcome, steps, episode, cell, drawn.NAME, ... May be repeated. "
-            "@FILE: the lines of a file, e.g. one that the studio saved.",
+            ["--camera", "cameras"], multiple=True, metavar="CAMERA[=KEY]",
+            help="Camera and its image key; may be repeated. Default: all, workspace=image and wrist=wrist_image.",
         ),
+        click.Option(["--size"], **size),
         click.Option(["--all", "everything"], is_flag=True, help="Include episodes that did not succeed."),
-        click.Option(
-            ["--keep-recovered"], is_flag=True,
-            help="Include episodes that needed a second attempt, e.g. a second grasp."
-        ),
-        click.Option(
-            ["--per-cell"], type=click.IntRange(0), default=0,
-            help="Number of episodes of each cell of the mix (else skill), after all filters; 0: all."
-        ),
-        click.Option(["--uneven"], is_flag=True, help="Allow cells with different numbers of episodes."),
         click.Option(
             ["--split"], default="", metavar="train=90,val=10",
             help="Numbers of episodes of the splits train, val and test; 0: the rest. Default: --val-fraction."
         ),
         click.Option(
-            ["--val-fraction"], default=0.05, show_default=True, help="Fraction of the episodes in the split val."
+            ["--rate", "rate_hz"], type=click.FloatRange(0), default=0.0, metavar="HZ",
+            help="Steps per second; must divide the recorded rate; 0: as recorded.",
         ),
-        click.Option(
-            ["--shard"], default="", metavar="I/N",
-            help="Export the I-th of N parts of each split; 'roboxim dataset merge' joins the parts.",
-        ),
-        click.Option(
-            ["--convention"], default="", metavar="NAME",
-            help="Convention (name or YAML file) that says images, state, actions and rate, e.g. libero; see 'roboxim "
-            "policy conventions'.",
-        ),
-        click.Option(
-            ["--camera", "cameras"], multiple=True, metavar="CAMERA[=KEY]",
-            help="Camera and its image key; may be repeated. Default: all, workspace=image and wrist=wrist_image.",
-        ),
-        click.Option(
-            ["--size"], default="as-configured", help="Resize images to SIZE or WIDTHxHEIGHT; default: as recorded."
-        ),
-        click.Option(["--depth"], multiple=True, metavar="CAMERA", help="Camera whose depth images are exported."),
-        click.Option(
-            ["--segmentation"], multiple=True, metavar="CAMERA", help="Camera whose segmentation images are exported."
-        ),
-        click.Option(
-            ["--rate", "rate_hz"], type=click.FloatRange(0), default=0.0,
-            help="Steps per second; must divide the recorded rate. Default: as recorded."
-        ),
-        click.Option(
-            ["--actions"], default="", metavar="WORDS",
-            help="Meaning of the actions, e.g. end_effector_absolute,rotation_6d or joint_position,"
-            "absolute_open_0_closed_1. Default: as recorded.",
-        ),
-        click.Option(
-            ["--state"], default="", metavar="FIELDS",
-            help="Fields of the state, e.g. tcp_position,tcp_quaternion_xyzw,gripper_opening. "
-            "Default: tcp_position,tcp_rotation_6d,gripper_opening.",
-        ),
-        click.Option(
-            ["--skip-missing"], is_flag=True, help="Export the remaining bags when bags of the run are missing."
-        ),
+        *field_options(Selection, leave_out=OWN),
         click.Option(["--overwrite"], is_flag=True, help="Replace an existing dataset."),
         click.Option(
             ["--gate"], type=click.IntRange(0), default=0, show_default=True, metavar="EPISODES",
