@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -40,6 +41,17 @@ def attach_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add ``--run`` and ``--domain`` to a command; pass both to `attached`."""
     command = click.option("--domain", type=click.IntRange(0, 232), help="ROS domain, instead of a run's.")(command)
     return run_option(command)
+
+
+def on_graph(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add ``--run`` and ``--domain`` to a command, and pass it a `Peer` of the graph as its first argument."""
+
+    @functools.wraps(command)
+    def attach(run_id: str | None, domain: int | None, **options: Any) -> Any:
+        with attached(run_id, domain) as peer:
+            return command(peer, **options)
+
+    return attach_options(attach)
 
 
 def join_run(run_id: str | None, domain: int | None) -> Sequence[str]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from roboxim_bringup.attach import absolute, attach_options, attached
+from roboxim_bringup.attach import Peer, absolute, attach_options, attached, on_graph
 from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
 
@@ -18,48 +18,45 @@ def command() -> None:
 
 @command.command("list")
 @click.option("-t", "--show-types", is_flag=True, help="Also print the types.")
-@attach_options
-def list_actions(show_types: bool, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def list_actions(peer: Peer, show_types: bool) -> None:
     """List the actions."""
-    with attached(run_id, domain) as peer:
-        peer.settle()
-        actions = peer.actions()
+    peer.settle()
+    actions = peer.actions()
     for name, types in actions.items():
         click.echo(f"{name} [{', '.join(types)}]" if show_types else name)
 
 
 @command.command("type")
 @click.argument("name", shell_complete=complete("actions"))
-@attach_options
-def print_type(name: str, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def print_type(peer: Peer, name: str) -> None:
     """Print the type of an action."""
-    with attached(run_id, domain) as peer:
-        click.echo(peer.type_of("action", name, peer.actions))
+    click.echo(peer.type_of("action", name, peer.actions))
 
 
 @command.command("info")
 @click.argument("name", shell_complete=complete("actions"))
-@attach_options
-def info(name: str, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def info(peer: Peer, name: str) -> None:
     """Print the type, servers and clients of an action."""
     from rclpy.action import get_action_client_names_and_types_by_node, get_action_server_names_and_types_by_node
 
-    with attached(run_id, domain) as peer:
-        type_name = peer.type_of("action", name, peer.actions)
-        peer.settle()
-        nodes = peer.node.get_node_names_and_namespaces()
-        sides = {
-            "servers": get_action_server_names_and_types_by_node,
-            "clients": get_action_client_names_and_types_by_node,
-        }
-        found = {
-            side: [
-                f"{namespace.rstrip('/')}/{base}"
-                for base, namespace in nodes
-                if any(action == absolute(name) for action, _ in ask(peer.node, base, namespace))
-            ]
-            for side, ask in sides.items()
-        }
+    type_name = peer.type_of("action", name, peer.actions)
+    peer.settle()
+    nodes = peer.node.get_node_names_and_namespaces()
+    sides = {
+        "servers": get_action_server_names_and_types_by_node,
+        "clients": get_action_client_names_and_types_by_node,
+    }
+    found = {
+        side: [
+            f"{namespace.rstrip('/')}/{base}"
+            for base, namespace in nodes
+            if any(action == absolute(name) for action, _ in ask(peer.node, base, namespace))
+        ]
+        for side, ask in sides.items()
+    }
     click.echo(f"Action: {absolute(name)} [{type_name}]")
     for side, names in found.items():
         click.echo(f"Action {side}: {len(names)}")

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from roboxim_bringup.attach import absolute, attach_options, attached
+from roboxim_bringup.attach import Peer, absolute, attach_options, on_graph
 from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
 
@@ -184,41 +184,39 @@ def membership(
 
 @command.command("list")
 @click.option("-a", "--all", "hidden", is_flag=True, help="Include hidden nodes.")
-@attach_options
-def list_nodes(hidden: bool, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def list_nodes(peer: Peer, hidden: bool) -> None:
     """List the nodes."""
-    with attached(run_id, domain) as peer:
-        peer.settle()
-        for name in peer.nodes(hidden=hidden):
-            click.echo(name)
+    peer.settle()
+    for name in peer.nodes(hidden=hidden):
+        click.echo(name)
 
 
 @command.command("info")
 @click.argument("name", shell_complete=complete("nodes"))
-@attach_options
-def info(name: str, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def info(peer: Peer, name: str) -> None:
     """Print what a node publishes, subscribes to, serves and calls."""
     from roboxim_core.errors import one_of
 
     name = absolute(name)
     namespace, _, base = name.rpartition("/")
-    with attached(run_id, domain) as peer:
-        peer.look_for(
-            lambda: True if name in peer.nodes(hidden=True) else None,
-            lambda: f"no node '{name}' in the graph; {one_of(peer.nodes(), name)}",
-        )
-        peer.settle()
-        from rclpy.action import get_action_client_names_and_types_by_node, get_action_server_names_and_types_by_node
+    peer.look_for(
+        lambda: True if name in peer.nodes(hidden=True) else None,
+        lambda: f"no node '{name}' in the graph; {one_of(peer.nodes(), name)}",
+    )
+    peer.settle()
+    from rclpy.action import get_action_client_names_and_types_by_node, get_action_server_names_and_types_by_node
 
-        node, where = peer.node, (base, namespace or "/")
-        sections = {
-            "Subscribers": node.get_subscriber_names_and_types_by_node(*where),
-            "Publishers": node.get_publisher_names_and_types_by_node(*where),
-            "Service Servers": node.get_service_names_and_types_by_node(*where),
-            "Service Clients": node.get_client_names_and_types_by_node(*where),
-            "Action Servers": get_action_server_names_and_types_by_node(node, *where),
-            "Action Clients": get_action_client_names_and_types_by_node(node, *where),
-        }
+    node, where = peer.node, (base, namespace or "/")
+    sections = {
+        "Subscribers": node.get_subscriber_names_and_types_by_node(*where),
+        "Publishers": node.get_publisher_names_and_types_by_node(*where),
+        "Service Servers": node.get_service_names_and_types_by_node(*where),
+        "Service Clients": node.get_client_names_and_types_by_node(*where),
+        "Action Servers": get_action_server_names_and_types_by_node(node, *where),
+        "Action Clients": get_action_client_names_and_types_by_node(node, *where),
+    }
     click.echo(name)
     for title, entries in sections.items():
         click.echo(f"  {title}:")

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from roboxim_bringup.attach import Peer, absolute, attach_options, attached, call_node, parameter_names
+from roboxim_bringup.attach import Peer, absolute, attach_options, attached, call_node, on_graph, parameter_names
 from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
 
@@ -18,44 +18,41 @@ def command() -> None:
 
 @command.command("list")
 @click.argument("node", required=False, shell_complete=complete("nodes"))
-@attach_options
-def list_parameters(node: str | None, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def list_parameters(peer: Peer, node: str | None) -> None:
     """List the parameters of one node, or of all."""
-    with attached(run_id, domain) as peer:
-        if node is None:
-            peer.settle()
-        ending = "/list_parameters"
-        nodes = [name.removesuffix(ending) for name in peer.services() if name.endswith(ending)]
-        for name in [absolute(node)] if node else nodes:
-            click.echo(f"{name}:")
-            for parameter in parameter_names(peer, name):
-                click.echo(f"  {parameter}")
+    if node is None:
+        peer.settle()
+    ending = "/list_parameters"
+    nodes = [name.removesuffix(ending) for name in peer.services() if name.endswith(ending)]
+    for name in [absolute(node)] if node else nodes:
+        click.echo(f"{name}:")
+        for parameter in parameter_names(peer, name):
+            click.echo(f"  {parameter}")
 
 
 @command.command("get")
 @click.argument("node", shell_complete=complete("nodes"))
 @click.argument("name")
-@attach_options
-def get(node: str, name: str, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def get(peer: Peer, node: str, name: str) -> None:
     """Print the value of a parameter."""
     from roboxim_bringup.yaml_text import dump
 
-    with attached(run_id, domain) as peer:
-        _require(peer, node, name)
-        value = _values(peer, node, [name])[0]
+    _require(peer, node, name)
+    value = _values(peer, node, [name])[0]
     click.echo(dump(value), nl=False)
 
 
 @command.command("dump")
 @click.argument("node", shell_complete=complete("nodes"))
-@attach_options
-def dump_parameters(node: str, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def dump_parameters(peer: Peer, node: str) -> None:
     """Print all parameters of a node as a parameter file."""
     from roboxim_bringup.yaml_text import dump
 
-    with attached(run_id, domain) as peer:
-        names = parameter_names(peer, node)
-        values = dict(zip(names, _values(peer, node, names), strict=True))
+    names = parameter_names(peer, node)
+    values = dict(zip(names, _values(peer, node, names), strict=True))
     click.echo(dump({absolute(node): {"ros__parameters": values}}), nl=False)
 
 
@@ -89,18 +86,17 @@ def set_parameter(node: str, name: str, value: str, run_id: str | None, domain: 
 @command.command("describe")
 @click.argument("node", shell_complete=complete("nodes"))
 @click.argument("names", nargs=-1)
-@attach_options
-def describe(node: str, names: tuple[str, ...], run_id: str | None, domain: int | None) -> None:
+@on_graph
+def describe(peer: Peer, node: str, names: tuple[str, ...]) -> None:
     """Print type, range and description of parameters; default: of all."""
     from rcl_interfaces.srv import DescribeParameters
     from rclpy.parameter import Parameter
 
-    with attached(run_id, domain) as peer:
-        for name in names:
-            _require(peer, node, name)
-        wanted = list(names) or parameter_names(peer, node)
-        described = call_node(peer, node, DescribeParameters, "describe_parameters", names=wanted).descriptors
-        values = _values(peer, node, wanted)
+    for name in names:
+        _require(peer, node, name)
+    wanted = list(names) or parameter_names(peer, node)
+    described = call_node(peer, node, DescribeParameters, "describe_parameters", names=wanted).descriptors
+    values = _values(peer, node, wanted)
     for descriptor, value in zip(described, values, strict=True):
         kind = Parameter.Type(descriptor.type).name.lower().replace("_", " ")
         click.echo(f"{descriptor.name} ({kind}{', read-only' if descriptor.read_only else ''}): {value!r}")

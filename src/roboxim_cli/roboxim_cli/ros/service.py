@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from roboxim_bringup.attach import attach_options, attached
+from roboxim_bringup.attach import Peer, attach_options, attached, on_graph
 from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
 
@@ -19,23 +19,21 @@ def command() -> None:
 @command.command("list")
 @click.option("-t", "--show-types", is_flag=True, help="Also print the types.")
 @click.option("-a", "--all", "hidden", is_flag=True, help="Include hidden services, which implement actions.")
-@attach_options
-def list_services(show_types: bool, hidden: bool, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def list_services(peer: Peer, show_types: bool, hidden: bool) -> None:
     """List the services."""
-    with attached(run_id, domain) as peer:
-        peer.settle()
-        services = peer.services(hidden=hidden)
+    peer.settle()
+    services = peer.services(hidden=hidden)
     for name, types in services.items():
         click.echo(f"{name} [{', '.join(types)}]" if show_types else name)
 
 
 @command.command("type")
 @click.argument("name", shell_complete=complete("services"))
-@attach_options
-def print_type(name: str, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def print_type(peer: Peer, name: str) -> None:
     """Print the type of a service."""
-    with attached(run_id, domain) as peer:
-        click.echo(peer.type_of("service", name, peer.services))
+    click.echo(peer.type_of("service", name, peer.services))
 
 
 @command.command("find")

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from roboxim_bringup.attach import Peer, absolute, attach_options, attached
+from roboxim_bringup.attach import Peer, absolute, attach_options, attached, on_graph
 from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
 
@@ -20,38 +20,35 @@ def command() -> None:
 
 @command.command("list")
 @click.option("-t", "--show-types", is_flag=True, help="Also print the types.")
-@attach_options
-def list_topics(show_types: bool, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def list_topics(peer: Peer, show_types: bool) -> None:
     """List the topics."""
-    with attached(run_id, domain) as peer:
-        peer.settle()
-        topics = peer.topics()
+    peer.settle()
+    topics = peer.topics()
     for name, types in topics.items():
         click.echo(f"{name} [{', '.join(types)}]" if show_types else name)
 
 
 @command.command("type")
 @click.argument("name", shell_complete=complete("topics"))
-@attach_options
-def print_type(name: str, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def print_type(peer: Peer, name: str) -> None:
     """Print the type of a topic."""
-    with attached(run_id, domain) as peer:
-        click.echo(peer.type_of("topic", name, peer.topics))
+    click.echo(peer.type_of("topic", name, peer.topics))
 
 
 @command.command("info")
 @click.argument("name", shell_complete=complete("topics"))
 @click.option("-v", "--verbose", is_flag=True, help="Also print nodes and QoS.")
-@attach_options
-def info(name: str, verbose: bool, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def info(peer: Peer, name: str, verbose: bool) -> None:
     """Print a topic's type and its publishers and subscribers."""
-    with attached(run_id, domain) as peer:
-        type_name = peer.type_of("topic", name, peer.topics)
-        peer.settle()
-        sides = {
-            "Publisher": peer.node.get_publishers_info_by_topic(absolute(name)),
-            "Subscription": peer.node.get_subscriptions_info_by_topic(absolute(name)),
-        }
+    type_name = peer.type_of("topic", name, peer.topics)
+    peer.settle()
+    sides = {
+        "Publisher": peer.node.get_publishers_info_by_topic(absolute(name)),
+        "Subscription": peer.node.get_subscriptions_info_by_topic(absolute(name)),
+    }
     click.echo(f"Type: {type_name}")
     for side, ends in sides.items():
         click.echo(f"{side} count: {len(ends)}")
@@ -70,16 +67,9 @@ def info(name: str, verbose: bool, run_id: str | None, domain: int | None) -> No
 @click.option("--field", help="Print this field only, e.g. robot.joint_positions.")
 @click.option("--full", is_flag=True, help="Do not shorten long arrays.")
 @click.option("--timeout", type=float, help="Fail when no message arrives for this time [s].")
-@attach_options
+@on_graph
 def echo(
-    name: str,
-    type_name: str | None,
-    once: bool,
-    field: str | None,
-    full: bool,
-    timeout: float | None,
-    run_id: str | None,
-    domain: int | None,
+    peer: Peer, name: str, type_name: str | None, once: bool, field: str | None, full: bool, timeout: float | None
 ) -> None:
     """Print the messages of a topic as YAML, separated by ---."""
     from roboxim_bringup.yaml_text import dump
@@ -91,16 +81,15 @@ def echo(
     def show(message: Any) -> None:
         click.echo(dump(_select(message_to_plain(message, full=full), field)) + "---")
 
-    with attached(run_id, domain) as peer:
-        _listen(peer, name, type_name, show, once=once, timeout_s=timeout, silent=remind)
+    _listen(peer, name, type_name, show, once=once, timeout_s=timeout, silent=remind)
 
 
 @command.command("hz")
 @click.argument("name", shell_complete=complete("topics"))
 @click.option("--window", default=100, show_default=True, type=click.IntRange(2), help="Messages to average over.")
 @click.option("--duration", type=float, help="End after this time [s]; default: on Ctrl-C.")
-@attach_options
-def hz(name: str, window: int, duration: float | None, run_id: str | None, domain: int | None) -> None:
+@on_graph
+def hz(peer: Peer, name: str, window: int, duration: float | None) -> None:
     """Print the rate of a topic, in wall time, once a second."""
     from collections import deque
 
@@ -119,8 +108,7 @@ def hz(name: str, window: int, duration: float | None, run_id: str | None, domai
             last = now
             _print_rate(list(stamps))
 
-    with attached(run_id, domain) as peer:
-        _listen(peer, name, None, note, fresh=True, duration_s=duration, silent=remind)
+    _listen(peer, name, None, note, fresh=True, duration_s=duration, silent=remind)
     if len(stamps) > 1:
         _print_rate(list(stamps))
     elif duration is not None:
