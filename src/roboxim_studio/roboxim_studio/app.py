@@ -33,6 +33,10 @@ MODES = (EPISODE, SCENE, DRIVE)
 """What the view shows: an episode, a scene being edited, or an episode that a person drives."""
 
 
+NARROW = 0.75
+"""Width of a page over its height below which its panel covers the lower part."""
+
+
 class Studio:
     """A running studio. A context manager; `url` is the address to open."""
 
@@ -65,6 +69,7 @@ class Studio:
         server.scene.set_up_direction("+z")
         server.initial_camera.position = (1.55, -0.9, 0.95)
         server.initial_camera.look_at = (0.45, 0.0, 0.1)
+        server.on_client_connect(_look_above_the_panel)
         self.view = SceneView(server, self.library)
         self._modes = server.gui.add_button_group("View", MODES)
         self._modes.on_click(lambda event: self.show(str(event.target.value)))
@@ -240,3 +245,9 @@ class Studio:
                 self._keys.do(lambda: self.episode.key(key))
             elif self.mode == DRIVE:
                 self._keys.do(lambda: self.drive.key(key))
+
+
+def _look_above_the_panel(client: Any) -> None:
+    """Move a narrow page's view up, where its panel does not cover it."""
+    if client.camera.image_width < NARROW * client.camera.image_height:
+        client.camera.position, client.camera.look_at = (2.1, -1.35, 1.5), (0.4, 0.05, -0.95)

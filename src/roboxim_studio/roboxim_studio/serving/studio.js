@@ -26,7 +26,7 @@
     line.style.top = narrow ? "8px" : "";
     const away = !socket || socket.readyState !== WebSocket.OPEN;
     const keys = state.driving && held.size ? `\nheld: ${[...held].map((code) => code.replace(/^Key/, "")).join(" ")}` : "";
-    const text = away ? "The studio does not answer; trying again. Nothing is lost." : [state.alert, state.hint].filter(Boolean).join("\n") + keys;
+    const text = away ? "The studio does not answer; trying again. Nothing is lost." : [state.alert, narrow && !state.driving ? "" : state.hint].filter(Boolean).join("\n") + keys;
     line.textContent = text;
     line.style.display = text ? "block" : "none";
     line.style.outline = away || state.alert ? "2px solid #ffb000" : state.driving ? "2px solid #40c057" : "none";
@@ -95,6 +95,9 @@
   setInterval(() => { if (state.driving) report(); }, 50);
 
   document.title = "RoboXim studio";
+  const style = document.createElement("style");  // viser's panel has a fixed width, also where that leaves no view
+  style.textContent = '@media (max-width: 700px) { [style*="20em"] { width: 100% !important; left: 0 !important; } }';
+  document.head.appendChild(style);
   const start = () => { document.body.appendChild(line); show(); connect(); };
   if (document.body) start(); else document.addEventListener("DOMContentLoaded", start);
 })();
