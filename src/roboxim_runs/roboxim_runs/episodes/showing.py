@@ -31,6 +31,9 @@ KEPT = 64
 """Number of episodes whose films and courses are kept: pages of one scene show the same ones."""
 EXPERT_S = 60.0
 """Longest time of the expert in a scene [s]."""
+NOTHING_PRINTED = (
+    "Its worker printed nothing in this episode; what a policy behind a server prints is in the server's log."
+)
 MOST_LOG = 400
 """Largest number of lines of the policy's output; the first and the last ones are shown."""
 NOBODY = "Nobody else acted in this scene; roboxim show {} --expert plans the expert's way beside it."
@@ -225,7 +228,10 @@ def printed(run: Path, index: int) -> tuple[str, str]:
         if len(mine) > MOST_LOG:
             half = MOST_LOG // 2
             mine = [*mine[:half], f"... {len(mine) - MOST_LOG} lines left out; all are in {log.name}", *mine[-half:]]
-        return "\n".join(mine), "" if mine else "It printed nothing."
+        return (
+            "\n".join(mine),
+            "" if mine else NOTHING_PRINTED,
+        )
     if not logs:
         return "", "The logs of its run are not beside its bag."
     return "", "The logs of its run do not tell its episodes apart: it ran elsewhere, or with an earlier version."
