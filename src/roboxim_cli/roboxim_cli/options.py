@@ -16,6 +16,7 @@ RENDERERS = ("photo", "raster", "tiny")
 """The built-in renderers; `doctor` reports which of them work on this machine."""
 Decorator = Callable[[Any], Any]
 Number = TypeVar("Number", int, float)
+T = TypeVar("T")
 
 
 class Place(click.ParamType[Path | str]):
@@ -46,13 +47,8 @@ def executor_options() -> list[Decorator]:
     ]  # fmt: skip
 
 
-def with_executor(command: Any) -> Any:
-    """Add the options that choose what runs the episodes; a decorator."""
-    return with_options(*executor_options())(command)
-
-
 def with_training_resources(command: Any) -> Any:
-    """Add the option that says what a training takes of a Ray node; a decorator, above `with_executor`."""
+    """Add the option that says what a training takes of a Ray node; a decorator."""
     return click.option(
         "--training-resources", default="", metavar="NAME=N,...",
         help="What a training takes of a Ray node, e.g. CPU=8,GPU=1; default: CPU=1.",
@@ -206,6 +202,15 @@ SHARED: dict[str, dict[str, Any]] = {
         default="", metavar="URL",
         help="Upload bags and results, e.g. to s3://bucket/demos; OUT keeps the results. Needs roboxim[store].",
     ),
+    "scale": dict(default="full", show_default=True, help="Scale of the file: smoke, laptop, night or full."),
+    "trainer": dict(
+        default="", metavar="NAME",
+        help="Trainer: a name in the file or in config/trainers, or a YAML file; default: the file's first one.",
+    ),
+    "trainings": dict(
+        type=click.IntRange(1), default=1, show_default=True, metavar="N",
+        help="Trainings at a time; they share processors and GPUs. Results do not depend on it.",
+    ),
     "repair": dict(
         is_flag=True, help="Repeat episodes whose bag or result is lost or damaged, instead of refusing to continue.",
     ),
@@ -309,6 +314,51 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
         *(option(name) for name in ("rate", "renderer", "depth", "segmentation", "repair", "shard", "store")),
         *executor_options(),
     )  # fmt: skip
+
+
+def experiment_options(key: str) -> Decorator:
+    """Return a decorator that adds the options of a run of experiments.
+
+    Args:
+        key: What names a policy's condition, e.g. ``CONDITION[.R]``.
+    """
+    return with_options(
+        option("out", required=True, help="Folder of the run."), option("scale"), option("trainer"),
+        click.option(
+            "--policy", "policies", multiple=True, metavar=f"{key}=SPEC",
+            help="Policy of a condition, or of its replicate R, that was trained elsewhere; may be repeated.",
+        ),
+        click.option(
+            "--option", "policy_options", multiple=True, metavar=f"{key}.KEY=VALUE",
+            help="Argument of such a policy, e.g. leave_out.0.checkpoint=PATH; may be repeated.",
+        ),
+        click.option("--only", default="", metavar="KINDS", help="Kinds of stages: generate,export,train,evaluate."),
+        option("workers", show_default=False, help="Processes that run episodes; default: 2 or fewer."),
+        option("trainings"), option("renderer"), with_training_resources, *executor_options(),
+    )  # fmt: skip
+
+
+def experiment_run(make: Callable[..., T], options: dict[str, Any]) -> tuple[T, Any, Any]:
+    """Return a run's configuration, and what runs its episodes and its trainings.
+
+    Args:
+        make: Class of the configuration.
+        options: Values of `experiment_options`, and further fields of the configuration.
+
+    Raises:
+        ConfigError: When an option is wrong.
+    """
+    from roboxim_runs.experiments.run import KINDS, named_policies
+
+    executor, address = options.pop("executor"), options.pop("address")
+    resources, training_resources = options.pop("resources"), options.pop("training_resources")
+    policies = named_policies(options.pop("policies"), options.pop("policy_options"))
+    kinds = tuple(word.strip() for word in options.pop("only").split(",") if word) or KINDS
+    given = {name: value for name, value in options.items() if name != "workers" or value is not None}
+    config: Any = make(policies=policies, only=kinds, **given)
+    runs_on = make_executor(executor, address, resources, config.workers)
+    trains_on = make_executor(executor, address, training_resources, config.trainings, option="--training-resources")
+    return config, runs_on, trains_on
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -9,6 +9,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.named import Named
+from roboxim_cli.options import option
 
 if TYPE_CHECKING:
     from roboxim_eval.experiments import ExperimentConfig, Rates
@@ -21,10 +22,7 @@ if TYPE_CHECKING:
 @click.option("--rollouts", type=click.IntRange(1), default=4, show_default=True, help="Rollouts.")
 @click.option("--steps", type=click.IntRange(20), default=60, show_default=True, help="Training steps.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
-@click.option(
-    "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
-    help="Also measure so many trainings at a time.",
-)  # fmt: skip
+@option("trainings", help="Also measure so many trainings at a time.")
 def command(
     experiment: str, scale: str, episodes: int, rollouts: int, steps: int, workers: int | None, trainings: int
 ) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.named import Named
-from roboxim_cli.options import option, with_executor, with_training_resources
+from roboxim_cli.options import experiment_options, experiment_run, option
 from roboxim_core.whole_files import write_whole
 
 REPORT = "report"
@@ -41,20 +41,7 @@ def command() -> None:
 
 def _run_command(name: str) -> click.Command:
     @strict.command(name)
-    @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
-    @click.option("--scale", default="full", show_default=True, help="Scale: smoke, laptop, night or full.")
-    @click.option(
-        "--trainer", default="", metavar="NAME",
-        help="Trainer: a name in the files or in config/trainers, or a YAML file; default: the files' first one.",
-    )  # fmt: skip
-    @click.option(
-        "--policy", "policies", multiple=True, metavar="EXPERIMENT.CONDITION[.R]=SPEC",
-        help="Policy of a condition that was trained elsewhere; may be repeated.",
-    )  # fmt: skip
-    @click.option(
-        "--option", "policy_options", multiple=True, metavar="EXPERIMENT.CONDITION[.R].KEY=VALUE",
-        help="Argument of such a policy; may be repeated.",
-    )  # fmt: skip
+    @experiment_options("EXPERIMENT.CONDITION[.R]")
     @click.option(
         "--experiment", "experiments", multiple=True, metavar="NAME",
         help="Run only this experiment of the benchmark; may be repeated.",
@@ -63,38 +50,14 @@ def _run_command(name: str) -> click.Command:
         "--card", "cards", multiple=True, metavar="FILE", type=click.Path(path_type=Path, exists=True, dir_okay=False),
         help="Card of an experiment that ran on another machine; may be repeated.",
     )  # fmt: skip
-    @click.option("--only", default="", metavar="KINDS", help="Kinds of stages: generate,export,train,evaluate.")
-    @click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
-    @click.option(
-        "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
-        help="Trainings of an experiment at a time; they share processors and GPUs. Results do not depend on it.",
-    )  # fmt: skip
-    @click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer.")
-    @with_training_resources
-    @with_executor
-    def run(
-        out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...],
-        experiments: tuple[str, ...], cards: tuple[Path, ...], only: str, workers: int | None, trainings: int,
-        renderer: str, executor: str, address: str, resources: str, training_resources: str,
-    ) -> None:  # fmt: skip
+    def run(out: Path, **options: Any) -> None:
         """Run the experiments of this benchmark in subfolders of OUT; the same command continues."""
         from contextlib import nullcontext
 
-        from roboxim_cli.options import make_executor
         from roboxim_cli.printer import EventPrinter
         from roboxim_runs.experiments.benchmark import BenchmarkRunConfig, run_benchmark
-        from roboxim_runs.experiments.run import KINDS, named_policies
 
-        config = BenchmarkRunConfig(
-            benchmark=name, scale=scale, out=out, trainer=trainer, trainings=trainings, renderer=renderer,
-            policies=named_policies(policies, policy_options), experiments=experiments, cards=cards,
-            only=tuple(word.strip() for word in only.split(",")) if only else KINDS,
-            **({} if workers is None else {"workers": workers}),
-        )  # fmt: skip
-        runs_on = make_executor(executor, address, resources, config.workers)
-        trains_on = make_executor(
-            executor, address, training_resources, config.trainings, option="--training-resources"
-        )
+        config, runs_on, trains_on = experiment_run(BenchmarkRunConfig, {**options, "benchmark": name, "out": out})
         with EventPrinter() as printer, runs_on or nullcontext():
             result = run_benchmark(config, executor=runs_on, training_executor=trains_on, on_event=printer)
         if result.card is None:

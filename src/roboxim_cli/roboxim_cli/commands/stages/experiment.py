@@ -10,7 +10,7 @@ import click
 from roboxim_cli import strict
 from roboxim_cli.commands.stages import _experiment_calibrate
 from roboxim_cli.named import Named
-from roboxim_cli.options import option, with_executor, with_training_resources
+from roboxim_cli.options import experiment_options, experiment_run, option
 from roboxim_core.whole_files import write_whole
 
 if TYPE_CHECKING:
@@ -54,16 +54,10 @@ def list_experiments() -> None:
 @command.command("plan", old={"--file": "--out"})
 @click.argument("name", type=Named("experiment"), default="")
 @click.option("--benchmark", default="", help="Plan all experiments of a benchmark of config/benchmark instead.")
-@click.option("--scale", default="full", show_default=True, help="Scale of the file: smoke, laptop, night or full.")
-@click.option(
-    "--trainer", default="", metavar="NAME",
-    help="Trainer: a name in the file or in config/trainers, or a YAML file; default: the file's first one.",
-)  # fmt: skip
+@option("scale")
+@option("trainer")
 @click.option("--budget", default="", metavar="TIME", help="Time that it may take, e.g. 8h or 90min; trainings first.")
-@click.option(
-    "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
-    help="Trainings at a time, as for 'experiment run'.",
-)  # fmt: skip
+@option("trainings", help="Trainings at a time, as for 'experiment run'.")
 @click.option("--no-probe", is_flag=True, help="Do not measure this machine for a minute if no rates are stored.")
 @click.option("--write", type=click.Path(path_type=Path), help="Folder for the task mixes that it consists of.")
 @option("out", metavar="FILE", help="Write the experiment of this scale and budget, for 'experiment run FILE'.")
@@ -150,27 +144,7 @@ def plan(
 
 @command.command("run")
 @click.argument("name", type=Named("experiment"))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder of the run.")
-@click.option("--scale", default="full", show_default=True, help="Scale of the file: smoke, laptop, night or full.")
-@click.option(
-    "--trainer", default="", metavar="NAME",
-    help="Trainer: a name in the file or in config/trainers, or a YAML file; default: the file's first one.",
-)  # fmt: skip
-@click.option(
-    "--policy", "policies", multiple=True, metavar="CONDITION[.R]=SPEC",
-    help="Policy of a condition, or of its replicate R, that was trained elsewhere; may be repeated.",
-)  # fmt: skip
-@click.option(
-    "--option", "policy_options", multiple=True, metavar="CONDITION[.R].KEY=VALUE",
-    help="Argument of such a policy, e.g. leave_out.0.checkpoint=PATH; may be repeated.",
-)  # fmt: skip
-@click.option("--only", default="", metavar="KINDS", help="Kinds of stages: generate,export,train,evaluate.")
-@click.option("--workers", type=click.IntRange(1), help="Processes that run episodes; default: 2 or fewer.")
-@click.option(
-    "--trainings", type=click.IntRange(1), default=1, show_default=True, metavar="N",
-    help="Trainings at a time; they share processors and GPUs. Results do not depend on it.",
-)  # fmt: skip
-@click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer of the images.")
+@experiment_options("CONDITION[.R]")
 @click.option(
     "--shard", default="", metavar="I/N",
     help="Run only the I-th of N parts of the episodes; with --only generate or --only evaluate.",
@@ -179,13 +153,7 @@ def plan(
     "--trained", type=click.Path(path_type=Path, exists=True), metavar="WHOLE",
     help="Folder of the whole experiment, whose trainings a shard evaluates.",
 )  # fmt: skip
-@with_training_resources
-@with_executor
-def run(
-    name: str, out: Path, scale: str, trainer: str, policies: tuple[str, ...], policy_options: tuple[str, ...],
-    only: str, workers: int | None, trainings: int, renderer: str, shard: str, trained: Path | None, executor: str,
-    address: str, resources: str, training_resources: str,
-) -> None:  # fmt: skip
+def run(name: str, out: Path, shard: str, trained: Path | None, **options: Any) -> None:
     r"""Run the stages of an experiment that OUT lacks: demonstrations, exports, trainings, evaluations.
 
     \b
@@ -209,18 +177,11 @@ def run(
     """
     from contextlib import nullcontext
 
-    from roboxim_cli.options import make_executor
     from roboxim_cli.printer import EventPrinter
-    from roboxim_runs.experiments.run import KINDS, ExperimentRunConfig, named_policies, run_experiment
+    from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment
 
-    given: dict[str, Any] = {} if workers is None else {"workers": workers}
-    config = ExperimentRunConfig(
-        experiment=name, scale=scale, out=out, trainer=trainer, policies=named_policies(policies, policy_options),
-        only=tuple(word.strip() for word in only.split(",")) if only else KINDS, renderer=renderer,
-        shard=shard, trained=trained or "", trainings=trainings, **given,
-    )  # fmt: skip
-    runs_on = make_executor(executor, address, resources, config.workers)
-    trains_on = make_executor(executor, address, training_resources, config.trainings, option="--training-resources")
+    fields = {**options, "experiment": name, "out": out, "shard": shard, "trained": trained or ""}
+    config, runs_on, trains_on = experiment_run(ExperimentRunConfig, fields)
     with EventPrinter() as printer, runs_on or nullcontext():
         result = run_experiment(config, on_event=printer, executor=runs_on, training_executor=trains_on)
     if shard:
