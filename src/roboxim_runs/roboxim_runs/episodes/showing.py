@@ -116,6 +116,12 @@ def _course(bag: Path) -> Course:
     return Course.of(bag)
 
 
+def forget_episodes() -> None:
+    """Forget the kept films and courses: another run may have recorded bags of the same names since."""
+    films_of.cache_clear()
+    _course.cache_clear()
+
+
 def _full(bag: Path, films: FilmOptions | None) -> Film | None:
     found = films_of(bag, films) if films else None
     return found[1] if found else None

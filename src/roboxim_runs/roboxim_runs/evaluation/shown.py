@@ -56,8 +56,10 @@ def shown_runs(
     """
     from roboxim_eval.report.films import chosen_scenes
     from roboxim_runs.episodes.facts import episode_facts
+    from roboxim_runs.episodes.showing import forget_episodes
 
     with contextlib.ExitStack() as stack:
+        stack.callback(forget_episodes)
         whole = {name: with_bags(result) for name, result in found.items()}
         bags = {
             name: stack.enter_context(readable_run(found[name].folder, [episode.bag for episode in episodes]))
