@@ -18,6 +18,7 @@ from roboxim_core.poses import Pose
 KINDS = {
     "task": ("config/tasks", "roboxim_tasks.task_config:TaskConfig"),
     "mix": ("config/tasks and config/suites", "roboxim_tasks.config:MixConfig"),
+    "given": ("config/tasks, a task with a given scene", "roboxim_tasks.fixed_scene:FixedTask"),
     "scene": ("config/scenes", "roboxim_core.specs:SceneSpec"),
     "look": ("config/looks", "roboxim_core.vision.looks:LookSet"),
     "light": ("config/lights", "roboxim_core.vision.looks:Lighting"),
