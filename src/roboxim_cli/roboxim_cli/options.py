@@ -177,7 +177,10 @@ SHARED: dict[str, dict[str, Any]] = {
         name="textures", multiple=True, metavar="SURFACE=NAME",
         help="Texture of table, floor or wall, e.g. table=marble or table=./oak.jpg; may be repeated.",
     ),
-    "look": dict(default="", metavar="SET", help="Set of looks in config/looks, e.g. varied, drawn for each episode."),
+    "look": dict(
+        default="", metavar="SET[/LOOK]",
+        help="Set of looks in config/looks, drawn for each episode, e.g. varied; or one: varied/oak_daylight.",
+    ),
     "robot": dict(type=Named("robot"), default="", help="Arm in config/robots that stands in the scene instead."),
     "out": dict(type=click.Path(path_type=Path), show_default=True),
     "episodes": dict(type=click.IntRange(1), show_default=True),

@@ -45,6 +45,7 @@ class Command(Strict):
         *,
         old: Mapping[str, str] | None = None,
         old_output: int | None = None,
+        begins: str = "",
         **attributes: Any,
     ) -> None:
         """Make the command.
@@ -53,11 +54,19 @@ class Command(Strict):
             name: Its name.
             old: Old name of an option to its name.
             old_output: Place of an output that was an argument, 0 or -1 among the inputs; now it is ``--out``.
+            begins: What a command with slow imports says at once, on the error stream.
             **attributes: As of click.
         """
         super().__init__(name, **attributes)
         self.old = old or {}
         self.old_output = old_output
+        self.begins = begins
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Say what begins, and run the command."""
+        if self.begins:
+            click.echo(f"{self.begins} ...", err=True)
+        return super().invoke(ctx)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Translate old names with a warning, then parse.

@@ -71,6 +71,10 @@ def test_looks_lights_textures_and_cameras_are_options_of_every_task(library):
     free = EpisodeGenerator(library).draw(seeds[0], parse_task_config(task_text("pick_cube", look="varied")))
     look = load_config(named_config("looks", "varied"), LookSet).looks[free.task.drawn["look"]]
     assert free.scene.look == look.look
+    one = EpisodeGenerator(library).draw(seeds[0], parse_task_config(task_text("pick_cube", look="varied/steel_bench")))
+    assert one.scene.look == load_config(named_config("looks", "varied"), LookSet).looks["steel_bench"].look
+    with pytest.raises(ConfigError, match="no look 'steal_bench' in set 'varied'"):
+        parse_task_config(task_text("pick_cube", look="varied/steal_bench"))
     with pytest.raises(ConfigError, match="SURFACE=NAME"):
         task_text(textures=["marble"])
 

@@ -54,7 +54,7 @@ def task_text(
         cameras: ``NAME[=VIEW]``: the cameras, each at the pose of its own file of ``config/cameras`` or of another one.
         lights: Names in ``config/lights``; several: one is drawn for each episode.
         textures: ``SURFACE=NAME`` for table, floor or wall; several of one surface: one is drawn for each episode.
-        look: Set of looks in ``config/looks``, one of which is drawn for each episode.
+        look: Set of looks in ``config/looks``, one of which is drawn for each episode, or ``SET/LOOK``.
         robot: Arm in ``config/robots``; empty: the scene's.
 
     Raises:
@@ -128,7 +128,8 @@ def _reset_changes(
         views = {name: {"values": [view]} for name, _, view in pairs if view}
         changes["cameras"] = {"names": [name for name, _, _ in pairs], **({"views": views} if views else {})}
     if look:
-        changes["look"] = {"set": look}
+        looks, _, name = look.partition("/")
+        changes["look"] = {"set": looks, **({"names": {"values": [name]}} if name else {})}
     if lights:
         changes.setdefault("look", {})["lights"] = {"values": list(lights)}
     for word in textures:

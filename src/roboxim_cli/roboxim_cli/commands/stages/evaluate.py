@@ -13,7 +13,7 @@ from roboxim_cli.named import Named
 from roboxim_cli.options import episode_options, film_options
 
 
-@strict.command()
+@strict.command(begins="evaluating")
 @click.option(
     "--policy", "policies", type=Named("policy", "expert"), multiple=True, required=True, metavar="[NAME=]SPEC",
     help="bc, random, zero, replay, expert, module:Class or file.py:Class; may be repeated to compare. NAME is "

@@ -142,7 +142,7 @@ def plan(
                 click.echo(f"wrote {path}", err=as_json)
 
 
-@command.command("run")
+@command.command("run", begins="running the experiment")
 @click.argument("name", type=Named("experiment"))
 @experiment_options("CONDITION[.R]")
 @click.option(

@@ -10,7 +10,7 @@ from roboxim_cli import strict
 from roboxim_cli.options import episode_options
 
 
-@strict.command()
+@strict.command(begins="generating")
 @episode_options(episodes=50, out="runs/demos")
 @click.option("--max-attempts", default=5, show_default=True, help="Largest number of attempts per index.")
 @click.option(

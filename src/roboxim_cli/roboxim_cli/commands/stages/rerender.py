@@ -11,10 +11,11 @@ from roboxim_cli import strict
 from roboxim_cli.options import option
 
 if TYPE_CHECKING:
+    from roboxim_core.specs import LookSpec
     from roboxim_core.vision.looks import Lighting
 
 
-@strict.command(old={"--size": "--size"})
+@strict.command(begins="rendering", old={"--size": "--size"})
 @click.argument("sources", type=click.Path(exists=True, path_type=Path), nargs=-1, required=True)
 @option("out", required=True, help="Folder of the new run.")
 @option("renderer", help="raster, tiny, or photo (Blender; make photo installs it).")
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 @click.option(
     "--background", type=click.Choice(["room", "plain"]), help="Surroundings: a room with walls, or a plain colour."
 )
-@option("look", metavar="SCENE", help="Use the lights and materials of a scene in config/scenes.")
+@option("look", metavar="SET/LOOK|SCENE", help="Use a look of a set, e.g. varied/oak_daylight, or that of a scene.")
 @option("workers", default=1, help="Number of processes, each with a renderer.")
 def command(
     sources: tuple[Path, ...], out: Path, renderer: str, cameras: tuple[str, ...], size: str,
@@ -46,9 +47,7 @@ def command(
     """
     from roboxim_cli.options import parse_size
     from roboxim_cli.printer import EventPrinter
-    from roboxim_core.config import load_config, named_config
     from roboxim_core.errors import ConfigError
-    from roboxim_core.specs import SceneSpec
     from roboxim_runs.episodes.pictures import write_contact_sheet
     from roboxim_runs.episodes.rerendering import RerenderConfig, find_bags, rerender
 
@@ -61,7 +60,7 @@ def command(
     config = RerenderConfig(
         renderer=renderer, cameras={name: file for name, _, file in (word.partition("=") for word in cameras)},
         width=width, height=height, depth=depth, segmentation=segmentation,
-        look=load_config(named_config("scenes", look), SceneSpec).look if look else None,
+        look=_look(look) if look else None,
         lights=lighting.lights if lighting else None, ambient=lighting.ambient if lighting else None,
         textures={
             surface: str(Path(name).resolve()) if "/" in name else name
@@ -88,6 +87,23 @@ def command(
         picture = out / "first_episode.png"
         if write_contact_sheet([first], picture):
             click.echo(f"a picture: {picture}")
+
+
+def _look(name: str) -> LookSpec:
+    """Return a look of a set, ``SET/LOOK``, or the look of a scene."""
+    from roboxim_core.config import load_config, named_config
+    from roboxim_core.config_folders import config_names
+    from roboxim_core.errors import ConfigError, one_of
+    from roboxim_core.specs import SceneSpec
+    from roboxim_core.vision.looks import LookSet
+
+    looks, slash, one = name.partition("/")
+    if not slash or looks not in config_names("looks"):
+        return load_config(named_config("scenes", name), SceneSpec).look
+    found = load_config(named_config("looks", looks), LookSet).looks
+    if one not in found:
+        raise ConfigError(f"set '{looks}' has no look '{one}'; {one_of(found, one)}")
+    return found[one].look
 
 
 def _lighting(words: tuple[str, ...]) -> Lighting | None:

@@ -15,7 +15,7 @@ def command() -> None:
     """Train a policy on an exported dataset."""
 
 
-@command.command("bc", old={"--limit": "--episodes"})
+@command.command("bc", begins="training", old={"--limit": "--episodes"})
 @click.argument("dataset", type=click.Path(path_type=Path))
 @click.option(
     "--out", type=click.Path(path_type=Path), default="runs/bc", show_default=True, help="Folder of the checkpoint."
