@@ -6,6 +6,7 @@ import contextlib
 import socket
 import struct
 from collections.abc import Mapping
+from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 from roboxim_policies.wires.arrays import MESSAGE_BYTES
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 CLOSING_S = 0.5
 """Time that a server has to answer the closing handshake [s]."""
+LEGACY = {"legacy": True}
+"""Option of websockets 17 and later by which `connect` returns a connection, as it always did before."""
 
 
 class WebSocket:
@@ -58,8 +61,8 @@ class WebSocket:
         try:
             self._connection = connect(
                 url, additional_headers=dict(headers or {}), compression=None, proxy=None, max_size=MESSAGE_BYTES,
-                open_timeout=deadline.left(server), ping_interval=None, close_timeout=CLOSING_S, legacy=True,
-                create_connection=Direct,
+                open_timeout=deadline.left(server), ping_interval=None, close_timeout=CLOSING_S,
+                create_connection=Direct, **(LEGACY if "legacy" in signature(connect).parameters else {}),
             )  # fmt: skip
         except TimeoutError:
             raise deadline.passed(f"the opening handshake of {server}") from None

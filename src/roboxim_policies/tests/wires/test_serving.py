@@ -302,7 +302,7 @@ def test_web_pages_cannot_use_a_server():
 
     with policy_server(Looking, "openpi", port=0) as server:
         assert urllib.request.urlopen(server.url.replace("ws", "http") + "/healthz").read() == b"OK\n"
-        with pytest.raises(InvalidStatus), connect(server.url, origin="https://example.org", legacy=True):
+        with pytest.raises(InvalidStatus), connect(server.url, origin="https://example.org"):
             pass
 
 

@@ -142,6 +142,8 @@ class Demand:
 
     skill: str
     """The skill."""
+    arm: str = ""
+    """Id of the robot; empty: any."""
     arguments: dict[str, Allowed] = field(default_factory=dict)
     """Argument of the skill to its values."""
     models: dict[str, Allowed] = field(default_factory=dict)
@@ -191,6 +193,8 @@ class Shown:
     """Its number in the cell."""
     skill: str
     """The task's skill."""
+    arm: str = ""
+    """Id of the robot in the scene."""
     arguments: dict[str, Value] = field(default_factory=dict)
     """Arguments of the skill."""
     models: dict[str, str] = field(default_factory=dict)
@@ -254,6 +258,11 @@ def _skill(demand: Demand, shown: Shown) -> Iterator[str]:
     for name, allowed in demand.arguments.items():
         if not allowed.excess(shown.arguments.get(name, "")) <= 1e-6:
             yield f"{name} is {_text(shown.arguments.get(name, ''))}, the cell demands {allowed}"
+
+
+def _arm(demand: Demand, shown: Shown) -> Iterator[str]:
+    if demand.arm and shown.arm != demand.arm:
+        yield f"the arm is {shown.arm or 'unknown'}, the cell demands {demand.arm}"
 
 
 def _object(demand: Demand, shown: Shown) -> Iterator[str]:
@@ -429,7 +438,7 @@ def _latency(demand: Demand, shown: Shown) -> Iterator[str]:
 
 
 CHECKS: Mapping[str, Check] = {
-    "skill": _skill, "object": _object, "physics": _physics, "distractors": _distractors, "area": _area,
+    "skill": _skill, "arm": _arm, "object": _object, "physics": _physics, "distractors": _distractors, "area": _area,
     "start": _start, "camera": _camera, "light": _light, "texture": _texture, "instruction": _instruction,
     "words": _words, "latency": _latency,
 }  # fmt: skip

@@ -30,7 +30,7 @@ from roboxim_eval.experiments.proving.delivery import (
     gap,
 )
 
-OF_CELLS = ("skill", "object", "area", "camera")
+OF_CELLS = ("skill", "arm", "object", "area", "camera")
 """Checks that every episode of a cell must pass to be one of it."""
 EXACT = 1e-4
 """Least difference of two drawn values that are recorded as they were drawn."""
@@ -54,7 +54,7 @@ def belongs_to(demand: Demand, shown: Shown, checks: Iterable[str] = OF_CELLS) -
 def telling_checks(held_out: Demand, others: Iterable[Demand]) -> tuple[str, ...]:
     """Return the checks by which an episode is one of a held-out cell: no episode of the other cells passes all.
 
-    Skill, object, area and camera are among them in any case. The others are, where these alone do not tell the
+    Skill, arm, object, area and camera are among them in any case. The others are, where these alone do not tell the
     held-out cell from another one; so a held-out episode is found even if e.g. its instruction was rewritten.
 
     Args:
@@ -83,6 +83,10 @@ def differing(first: Demand, second: Demand) -> tuple[str, ...]:
 
 def _skill(held_out: Demand, other: Demand) -> bool:
     return held_out.skill != other.skill or _any_apart(held_out.arguments, other.arguments)
+
+
+def _arm(held_out: Demand, other: Demand) -> bool:
+    return bool(held_out.arm and other.arm) and held_out.arm != other.arm
 
 
 def _object(held_out: Demand, other: Demand) -> bool:
@@ -190,12 +194,13 @@ def _any_apart(first: Mapping[str, Allowed], second: Mapping[str, Allowed]) -> b
 
 
 APART: Mapping[str, Callable[[Demand, Demand], bool]] = {
-    "skill": _skill, "object": _object, "physics": _physics, "distractors": _distractors, "area": _area,
+    "skill": _skill, "arm": _arm, "object": _object, "physics": _physics, "distractors": _distractors, "area": _area,
     "start": _start, "camera": _camera, "light": _look(LIGHT), "texture": _look(TEXTURE), "instruction": _instruction,
 }  # fmt: skip
 """Check to whether no episode of another cell passes it for a held-out one."""
 PARTS: Mapping[str, Callable[[Demand], Any]] = {
     "skill": lambda cell: (cell.skill, cell.arguments),
+    "arm": lambda cell: cell.arm,
     "object": lambda cell: (cell.models, cell.modifiers),
     "physics": lambda cell: (cell.physics, cell.table_friction),
     "distractors": lambda cell: (cell.distractors, cell.others, cell.always),

@@ -70,6 +70,7 @@ def demand_of(config: TaskConfig, *, words: str | None = None, latency_ticks: in
     scene = config.base_scene()
     return Demand(
         skill=config.skill,
+        arm=scene.robot.model,
         arguments={name: _allowed(choice) for name, choice in config.arguments.items()},
         models={role: _allowed(thing.models) for role, thing in config.objects.items()},
         modifiers={

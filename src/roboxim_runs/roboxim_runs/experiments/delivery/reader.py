@@ -101,6 +101,7 @@ class DeliveryReader:
             cell=drawn.get(CELL, ""),
             number=int(drawn.get(CELL_NUMBER, info.index)),
             skill=info.task.skill,
+            arm=info.scene.robot.model,
             arguments={name: plain_value(value) for name, value in info.task.arguments.items()},
             models={role: thing.model for role, thing in own.items()},
             modifiers={role: _modifiers(thing) for role, thing in own.items()},
