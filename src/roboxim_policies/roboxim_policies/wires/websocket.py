@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 CLOSING_S = 0.5
 """Time that a server has to answer the closing handshake [s]."""
-LEGACY = {"legacy": True}
+LEGACY: dict[str, Any] = {"legacy": True}
 """Option of websockets 17 and later by which `connect` returns a connection, as it always did before."""
 
 
