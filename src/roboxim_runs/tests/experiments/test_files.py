@@ -100,7 +100,7 @@ def test_held_out_cells_that_no_proof_can_tell_from_seen_ones_are_refused(other,
     text = str(error.value)
     cells = "the held-out cell 'pick_cube setting=other' and the cell 'pick_cube setting=usual' of dataset 'leave_out'"
     assert f"experiment 'mine': {cells} {said}" in text
-    assert "expected values that exclude each other in at least one of skill, object, physics, " in text
+    assert "expected values that exclude each other in at least one of skill, arm, object, physics, " in text
     assert "hold both of them out or none in unseen" in text
 
 
