@@ -62,8 +62,13 @@ def recognise(what: str) -> Opened:
 
 
 def bags_of(folder: Path) -> tuple[Path, ...]:
-    """Return the bags in a run's folder, kept ones first, then those set apart; sorted by name."""
-    places = [folder / place for place in PLACES.values() if (folder / place).is_dir()] or [folder]
+    """Return the bags in a run's folder, kept ones first, then those set apart; sorted by name.
+
+    An evaluation's folder has a folder for each policy, whose bags follow one another.
+    """
+    runs = [folder, *sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))]
+    found = [run / place for run in runs for place in PLACES.values() if (run / place).is_dir()]
+    places = found or [folder]
     return tuple(
         bag for place in dict.fromkeys(places) for bag in sorted({file.parent for file in place.glob("[!.]*/*.mcap")})
     )

@@ -29,6 +29,19 @@ def test_new_episodes_of_a_running_run_appear(studio, run, tmp_path):
     assert studio.episode.film.title == first.name
 
 
+def test_an_evaluation_lists_the_episodes_of_every_policy(studio, run, tmp_path):
+    for policy in ("bc", "random"):
+        shutil.copytree(run, tmp_path / "evaluation" / policy)
+    (tmp_path / "evaluation" / "report.html").write_text("")
+    opened = recognise(str(tmp_path / "evaluation" / "report.html"))
+    studio.open(opened)
+    (one, other) = studio.files.entries
+    assert one.name == f"bc/{one.episode}"
+    assert other.name == f"random/{one.episode}"
+    studio.files.open_named(other.name, beside=True)
+    assert studio.what_if.other.path == other.path
+
+
 def test_a_selection_file_leaves_episodes_out_of_exports_and_touches_no_bag(studio, run, tmp_path):
     studio.files._folder = tmp_path
     studio.open(recognise(str(run)))

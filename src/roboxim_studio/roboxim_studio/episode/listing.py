@@ -17,7 +17,9 @@ class Entry:
     """One episode."""
 
     name: str
-    """Its id; of a bag that cannot be read, its folder's name."""
+    """Its id, in an evaluation after the policy's name; of a bag that cannot be read, its folder's name."""
+    episode: str = ""
+    """Its id."""
     path: Path
     """The bag."""
     skill: str = ""
@@ -35,25 +37,31 @@ class Entry:
         return self.outcome if not self.reason else f"{self.outcome}, {self.reason}"
 
 
-def list_entries(bags: Sequence[Path]) -> tuple[Entry, ...]:
+def list_entries(bags: Sequence[Path], folder: Path) -> tuple[Entry, ...]:
     """Return the episodes of bags; a damaged one is listed as unreadable.
+
+    Args:
+        bags: The bags.
+        folder: Folder of the run, or of the evaluation.
 
     Raises:
         ConfigError: When the results of their run are not readable.
     """
-    results = {
-        result.episode_id: result for run in sorted({bag.parent.parent for bag in bags}) for result in read_results(run)
-    }
-    return tuple(_entry(bag, results.get(bag.name)) for bag in bags)
+    runs = {bag.parent.parent for bag in bags}
+    results = {(run, result.episode_id): result for run in runs for result in read_results(run)}
+    return tuple(_entry(bag, results.get((bag.parent.parent, bag.name)), folder) for bag in bags)
 
 
-def _entry(bag: Path, result: EpisodeResult | None) -> Entry:
+def _entry(bag: Path, result: EpisodeResult | None, folder: Path) -> Entry:
+    run = bag.parent.parent
+    policy = f"{run.name}/" if run.parent == folder else ""
     try:
         if result is None:
             result = BagReader(bag).result
     except RoboximError as error:
-        return Entry(name=bag.name, path=bag, reason=str(error))
+        return Entry(name=policy + bag.name, path=bag, reason=str(error))
     return Entry(
-        name=result.episode_id, path=bag, skill=result.skill, instruction=result.instruction, outcome=result.outcome,
+        name=policy + result.episode_id,
+        episode=result.episode_id, path=bag, skill=result.skill, instruction=result.instruction, outcome=result.outcome,
         reason=result.reason,
     )  # fmt: skip

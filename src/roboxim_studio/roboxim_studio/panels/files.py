@@ -68,7 +68,7 @@ class FilesPanel:
         with self._lock:
             following = self.run is not None
             self.run, self._known, self.marks = folder, bags, {}
-            self.entries = list_entries(bags)
+            self.entries = list_entries(bags, folder)
             for handle in self._fresh:
                 handle.remove()
             self._fresh = []
@@ -177,7 +177,7 @@ class FilesPanel:
                     continue
                 there = {entry.path: entry for entry in self.entries}
                 try:
-                    new = {entry.path: entry for entry in list_entries([bag for bag in bags if bag not in there])}
+                    new = {entry.path: entry for entry in list_entries([bag for bag in bags if bag not in there], run)}
                 except RoboximError as error:
                     self._say(str(error), alert=True)
                     continue
@@ -226,8 +226,9 @@ class FilesPanel:
     def save(self, name: str) -> Path | None:
         """Save the selection; returns the file, or None if it is not possible, which the panel says."""
         assert self.run is not None
-        out = [episode for episode, mark in self.marks.items() if mark == "out"]
-        flagged = [episode for episode, mark in self.marks.items() if mark == "flag"]
+        ids = {entry.name: entry.episode or entry.name for entry in self.entries}
+        out = [ids[name] for name, mark in self.marks.items() if mark == "out"]
+        flagged = [ids[name] for name, mark in self.marks.items() if mark == "flag"]
         text = selection_text(out, flagged, self.run.name, len(self.entries))
         try:
             file = save_selection(self._folder, name, text)
