@@ -242,7 +242,10 @@ def record(topics: tuple[str, ...], out: Path, duration: float | None, run_id: s
         wait_for_stop(step, period_s=0.2, on_waiting=lambda: click.echo(f"recording into {out}; Ctrl-C ends it"))
         recording.close(peer)
     for name, count in sorted(recording.counts.items()):
-        click.echo(f"  {name}: {count}")
+        if count:
+            click.echo(f"  {name}: {count}")
+    if silent := [name for name, count in sorted(recording.counts.items()) if not count]:
+        click.echo(f"  no message on {', '.join(silent)}")
     for text in recording.left_out:
         click.echo(f"  left out: {text}")
     missing = [topic for topic in wanted if not recording.counts.get(topic)]
