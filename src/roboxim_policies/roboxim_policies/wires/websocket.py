@@ -123,7 +123,8 @@ class WebSocket:
 
         what = f"the {what} of {self._server}"
         try:
-            return self._connection.recv(timeout=deadline.left(what))
+            message: bytes | str = self._connection.recv(timeout=deadline.left(what))
+            return message
         except TimeoutError:
             raise deadline.passed(what) from None
         except ConnectionClosed as error:
