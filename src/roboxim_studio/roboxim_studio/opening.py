@@ -77,7 +77,8 @@ def bags_of(folder: Path) -> tuple[Path, ...]:
 def _folder(path: Path) -> Opened:
     if list(path.glob("*.mcap")):
         return Opened(kind=Kind.BAG, path=path)
-    for folder in (path, path.parent):  # a report is a folder of its run
+    reports = [path.parent] if list(path.glob("*.html")) else []  # a report may be a folder of its run
+    for folder in (path, *reports):
         if bags := bags_of(folder):
             return Opened(kind=Kind.RUN, path=folder, bags=bags)
     return _dataset(path)

@@ -119,6 +119,7 @@ def test_driving_in_the_page_with_held_keys(studio, chromium, tmp_path):
     wait_for(lambda: not list(tmp_path.glob("episodes/*")), "the episode thrown away", 60)
 
 
+@pytest.mark.slow
 def test_a_page_that_goes_away_while_driving_loses_nothing(studio, chromium, tmp_path):
     studio.drive.bags = tmp_path
     studio.open_task("pick_cube").result(timeout=120)

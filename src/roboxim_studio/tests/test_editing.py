@@ -110,6 +110,7 @@ def test_a_scaled_object_keeps_resting_on_the_table(document):
         edits.modified(document, "target", "color", "greenish", LIBRARY)
 
 
+@pytest.mark.slow
 def test_a_task_is_drawn_edited_and_solved_by_the_expert(studio):
     draw = studio.open_task("pick_cube").result(timeout=120)
     assert studio.editor.desk.scene == draw.scene

@@ -1,5 +1,7 @@
 """The studio in a real browser: its DOM, and the server's state."""
 
+import pytest
+
 from roboxim_studio.browser import Browser
 
 
@@ -38,6 +40,7 @@ def test_a_page_that_is_cut_off_comes_back_and_nothing_scrolls_sideways_on_a_pho
     assert studio.episode.tick == 3
 
 
+@pytest.mark.slow
 def test_two_browsers_at_once_show_the_same(studio, bag, chromium):
     studio.open_bag(bag)
     with Browser(width=500, height=400) as other:

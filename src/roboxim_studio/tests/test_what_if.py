@@ -55,6 +55,7 @@ def test_a_question_that_makes_no_sense_is_refused(lab, film, question, said):
         ask(lab.graph, film, question)
 
 
+@pytest.mark.slow
 def test_the_panel_shows_the_other_episode_beside_the_first(studio, bag):
     film = studio.open_bag(bag)
     studio.episode.show(4)
