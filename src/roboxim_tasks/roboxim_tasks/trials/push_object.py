@@ -24,12 +24,23 @@ def along(pose: Pose, toward: Array, length_m: float) -> Pose:
     return displaced(pose, *(toward * length_m).tolist())
 
 
-def push(script: Script, begin: Pose, length_m: float) -> None:
-    """Descend behind the target, push, withdraw, rise; the pose is that of the fingers behind the target."""
-    toward, touching = direction(script.scene), fingers_touch(script.scene, "target")
+def push(
+    script: Script, begin: Pose, length_m: float, *, entity: str = "target", toward: Array | None = None
+) -> None:
+    """Descend behind an object, push, withdraw, rise; the pose is that of the fingers behind it.
+
+    Args:
+        script: The script to extend.
+        begin: Pose of the fingers behind the object.
+        length_m: Length of the push [m].
+        entity: The object.
+        toward: Horizontal unit vector in the base, shape (3,); none: the task's direction.
+    """
+    toward = direction(script.scene) if toward is None else toward
+    touching = fingers_touch(script.scene, entity)
     script.move(shifted(begin, APPROACH_M), name="approach", free=True)
     script.move(begin, name="descend", speed=0.6)
-    script.set_entity("target", pose=along(script.pose_of("target"), toward, length_m))
+    script.set_entity(entity, pose=along(script.pose_of(entity), toward, length_m))
     script.move(along(begin, toward, length_m + STANDOFF_M), name="push", speed=0.6, touching=touching)
     script.wait(0.3)
     script.move(along(script.pose, toward, -BACK_OFF_M), name="back_off", touching=touching)
