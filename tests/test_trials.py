@@ -14,7 +14,8 @@ from roboxim_tasks.trials import TRIALS, Trial, base, missing_trials
 SCENES = 10
 ATTACK = (
     "push_object/carry", "place_on/drop", "place_left_of/drop", "stack/cage", "push_button/side_of_the_hand",
-    "place_on/at_the_far_side",
+    "place_on/at_the_far_side", "stack/lay_it_down", "put_into/both", "push_object/two_at_once",
+    "push_object/knock_another_over",
 )  # fmt: skip
 """Regressions: cheats that once passed an evaluator, and an honest solution that was rejected."""
 

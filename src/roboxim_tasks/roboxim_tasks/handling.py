@@ -55,9 +55,16 @@ def set_down(entity: str, most_m: float = DROP_M) -> Condition:
     return Condition(name="set_down", measure=drop(entity), most=most_m, reason="dropped")
 
 
-def not_tossed(entity: str) -> Condition:
-    """Return the condition that an object was not thrown to its present place."""
-    return Condition(name="not_tossed", measure=toss(entity), most=TOSS_M_S, reason="tossed")
+def not_tossed(entity: str, *, may_bounce: bool = False) -> Condition:
+    """Return the condition that an object was not thrown to its present place.
+
+    Args:
+        entity: The object.
+        may_bounce: Whether it may hit walls that make it fast: then only its flight up to there counts.
+    """
+    return Condition(
+        name="not_tossed", measure=toss(entity, may_bounce=may_bounce), most=TOSS_M_S, reason="tossed"
+    )  # fmt: skip
 
 
 def let_go(entity: str) -> tuple[Condition, ...]:
@@ -90,21 +97,24 @@ def drop(entity: str) -> Measure:
     return Measure(name="drop_m", of=of)
 
 
-def toss(entity: str) -> Measure:
+def toss(entity: str, *, may_bounce: bool = False) -> Measure:
     """Measure the largest mean horizontal speed of an object over a tick that ends without the robot at it [m/s].
 
-    It counts from when the object was last held: picking up a tossed object resets the measure.
+    It counts from when the object was last held: picking up a tossed object resets the measure. With ``may_bounce`` it
+    counts up to the first tick in which something else touches the object.
     """
-    fastest, handled = [0.0], [False]
+    fastest, handled, landed = [0.0], [False], [False]
 
     def of(state: StateRecord, before: StateRecord | None) -> float:
         touched = any(contact.force_last > 0.0 for contact in state.contacts_between(ROBOT, entity))
         if before is None or held_in_the_air(state, entity):
-            fastest[0] = 0.0
-        elif handled[0] and not touched:
+            fastest[0], landed[0] = 0.0, False
+        elif handled[0] and not touched and not (may_bounce and landed[0]):
             here, there = state.entity(entity).pose.position, before.entity(entity).pose.position
             way = float(np.hypot(*np.subtract(here, there)[:2]))
             fastest[0] = max(fastest[0], way / seconds_between(before, state))
+        if handled[0] and not held_in_the_air(state, entity):
+            landed[0] = landed[0] or any(contact.force_max > 0.0 for contact, _ in _others(state, entity))
         handled[0] = handled[0] or touched
         return fastest[0]
 

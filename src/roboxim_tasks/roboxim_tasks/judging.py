@@ -120,11 +120,12 @@ class Judge:
 def surroundings(task: TaskSpec, initial: StateRecord) -> Conditions:
     """Return the evaluator of what a person sees besides the task, in every skill.
 
-    Nothing but the target may have toppled, fallen off the table, or, if the task does not name it, been opened.
+    Nothing but the target may have toppled, fallen off the table, or been opened; a joint that the task names may move.
     """
     target = task.objects["target"].entity if "target" in task.objects else ""
     others = [entity.name for entity in initial.entities if entity.name != target]
     named = {thing.entity for thing in task.objects.values()} - {thing.entity for thing in task_distractors(task)}
+    joint = str(task.arguments.get("joint", ""))
     falls = [lift(entity, initial) for entity in others]
     lowest = Measure(name="others_lift_m", of=lambda state: min((fall.of(state) for fall in falls), default=0.0))
     return Conditions(
@@ -138,7 +139,7 @@ def surroundings(task: TaskSpec, initial: StateRecord) -> Conditions:
             ),
             Condition(
                 name="others_shut", most=OPENED, reason="opened_other",
-                measure=joints_moved([name for name in others if name not in named], initial, "others_joint"),
+                measure=joints_moved(others, initial, "others_joint", but={(name, joint) for name in named}),
             ),
         ),
         hold_s=0.0,

@@ -339,16 +339,29 @@ def others_force(entity: str, name: str, but: Iterable[str] = (ROBOT,)) -> Measu
     return Measure(name=name, of=of)
 
 
-def joints_moved(entities: Iterable[str], initial: StateRecord, name: str) -> Measure:
-    """Measure the largest distance of a joint of several objects from its position at tick 0 [m or rad]."""
-    starts = {entity: initial.entity(entity).joint_positions for entity in entities}
+def joints_moved(
+    entities: Iterable[str], initial: StateRecord, name: str, but: Iterable[tuple[str, str]] = ()
+) -> Measure:
+    """Measure the largest distance of a joint of several objects from its position at tick 0 [m or rad].
+
+    Args:
+        entities: The objects.
+        initial: State of tick 0.
+        name: Name of the measure.
+        but: Objects with the joints that do not count.
+    """
+    starts = {entity: initial.entity(entity) for entity in entities}
+    left_out = set(but)
 
     def of(state: StateRecord) -> float:
         return max(
             (
                 abs(now - before)
-                for entity, positions in starts.items()
-                for now, before in zip(state.entity(entity).joint_positions, positions, strict=True)
+                for entity, start in starts.items()
+                for joint, now, before in zip(
+                    start.joint_names, state.entity(entity).joint_positions, start.joint_positions, strict=True
+                )
+                if (entity, joint) not in left_out
             ),
             default=0.0,
         )

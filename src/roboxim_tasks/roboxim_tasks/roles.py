@@ -13,6 +13,10 @@ from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 DISTRACTOR = "distractor"
 STAY = "distractors_stay_m"
 """Argument that a task of any skill may have: the largest displacement of its distractors [m]."""
+UPRIGHT = "target_upright"
+"""Argument of tasks whose target has a right way up and has to keep it; set by generators."""
+GENERAL = frozenset({STAY, UPRIGHT})
+"""Arguments that are no parameters of a skill."""
 SIZE_SLACK = 0.1
 """Largest relative deviation of an object's ``scale`` from a size word's factor at which the word may name it."""
 

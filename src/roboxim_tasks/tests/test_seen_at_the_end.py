@@ -13,6 +13,7 @@ from roboxim_core.state import Contact, EntityState, RobotState, StateRecord
 from roboxim_tasks.handling import not_tossed
 from roboxim_tasks.judging import Judge
 from roboxim_tasks.measures import kept_upright, stands_alone
+from roboxim_tasks.standing import propped_share, rests_on, stays_upright
 
 ROBOT = RobotState(
     joint_names=(), joint_positions=(), joint_velocities=(), joint_commands=(), pose_tcp_measured=Pose(),
@@ -36,9 +37,13 @@ def thing(name="target", *, at=(0.5, 0.0, 0.06), tilt_deg=0.0, joints=()):
     )
 
 
-def touch(other, entity="target", force=1.0):
+def touch(other, entity="target", force=1.0, up=None):
+    """A contact in which another body presses an entity, by default upwards."""
     first, second = sorted((other, entity))
-    return Contact(body_a=first, link_a=f"l{force}", body_b=second, link_b="", force_last=force, force_max=force)
+    on_b = (0.0, 0.0, (force if up is None else up) * (1.0 if second == entity else -1.0))
+    return Contact(
+        body_a=first, link_a=f"l{force}", body_b=second, link_b="", force_last=force, force_max=force, force_on_b=on_b
+    )
 
 
 def record(seq, *entities, contacts=()):
@@ -90,6 +95,7 @@ OTHER = thing("distractor_1", at=(0.5, 0.2, 0.1), joints=(0.0,))
     [
         (OTHER, (), ""),
         (OTHER, (touch("distractor_1", force=0.5),), "rests_on_something"),
+        (OTHER, (touch("distractor_1", force=0.5, up=0.0),), ""),
         (thing("distractor_1", at=(0.5, 0.2, 0.03), tilt_deg=90, joints=(0.0,)), (), "toppled_other"),
         (thing("distractor_1", at=(0.5, 0.9, -0.4), joints=(0.0,)), (), "pushed_off_table"),
         (replace(OTHER, joint_positions=(0.1,)), (), "opened_other"),
@@ -101,3 +107,33 @@ def test_a_lift_counts_only_with_the_rest_as_it_was(other, more, reason):
     for seq in range(1, 6):
         verdict = judge.step(held(seq, other, more=more))
     assert (verdict.success, verdict.reason) == (not reason, reason)
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "force", "up", "share"),
+    [(0, 1.0, 0.0, 0.0), (0, 1.0, 1.0, 0.5), (2, 1.0, 0.0, 0.0), (20, 1.0, 0.2, 0.5), (90, 1.0, 0.0, 0.0)],
+    ids=["level beside it", "level on it", "settled", "tilted", "on another side beside it"],
+)
+def test_what_is_tilted_leans_on_what_it_touches_and_what_is_level_does_not(tilt_deg, force, up, share):
+    measure = propped_share("target", record(0, thing()), ("table",))
+    contacts = (touch("table"), touch("distractor_1", force=force, up=up))
+    now = record(1, thing(tilt_deg=tilt_deg), contacts=contacts)
+    assert measure.of(now) == pytest.approx(share)
+    assert (
+        propped_share("target", record(0, thing()), ("distractor_1",)).of(record(1, thing(), contacts=contacts[1:]))
+        == 0
+    )
+
+
+@pytest.mark.parametrize("tilt_deg", [0, 90, 180])
+def test_a_thing_with_a_right_way_up_has_to_keep_it(tilt_deg):
+    task = replace(TASK, skill="rotate", arguments={"target_upright": True})
+    (condition,) = stays_upright(task, record(0, thing()))
+    assert condition.holds(condition.measure.of(record(1, thing(tilt_deg=tilt_deg)))) == (tilt_deg == 0)
+    assert stays_upright(replace(task, arguments={}), record(0, thing())) == ()
+
+
+def test_what_touches_the_table_does_not_rest_on_the_support():
+    on = record(1, thing(), OTHER, contacts=(touch("distractor_1"),))
+    beside = record(1, thing(), OTHER, contacts=(touch("distractor_1"), touch("table")))
+    assert [rests_on(state, "target", "distractor_1") for state in (on, beside)] == [True, False]

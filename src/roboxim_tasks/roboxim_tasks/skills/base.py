@@ -19,7 +19,7 @@ from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.measures import Assessment, Evaluator
 from roboxim_tasks.motion import ExpertScene, Stage
-from roboxim_tasks.roles import STAY, Role
+from roboxim_tasks.roles import GENERAL, Role
 from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 
 
@@ -134,7 +134,7 @@ def parameters_of(task: TaskSpec, cls: type[Any]) -> Any:
     Raises:
         ConfigError: When an argument is unknown or has the wrong type.
     """
-    own = {name: value for name, value in task.arguments.items() if name != STAY}
+    own = {name: value for name, value in task.arguments.items() if name not in GENERAL}
     return from_plain(own, cls, source=f"arguments of task '{task.instruction}'")
 
 

@@ -20,13 +20,13 @@ from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.measures import (
+    PROP_N,
     Condition,
     Conditions,
     above,
     fallen_off,
     highest_lift,
     lift,
-    others_force,
     pressing_links,
     table_force,
 )
@@ -34,6 +34,7 @@ from roboxim_tasks.motion import ExpertScene, Stage, grasps_of
 from roboxim_tasks.reach import graspable, start_clear
 from roboxim_tasks.script import Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
+from roboxim_tasks.standing import carried_by_others
 
 LIFT_M = 0.12
 
@@ -99,7 +100,7 @@ class PickUp(Skill):
                 Condition(name="lifted", measure=height, least=above(parameters.lift_m)),
                 Condition(name="off_table", measure=table_force(target), most=0.0, reason="touches_table"),
                 Condition(
-                    name="in_the_air", measure=others_force(target, "props_force_n"), most=0.0,
+                    name="in_the_air", measure=carried_by_others(target), most=PROP_N,
                     reason="rests_on_something",
                 ),
             ),

@@ -33,6 +33,7 @@ from roboxim_tasks.reach import above_reachable, graspable, start_clear
 from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import GOAL_YAWS, fits, lies_still, put, raised, region_of, region_pose, upright
+from roboxim_tasks.standing import nothing_else_put, rests_alone, rests_on, stays_upright, upright_arguments
 
 SURFACE_SHARE = 0.9
 """Largest distance of the object's origin from the middle of the surface, as a share of the distance to the edge.
@@ -104,7 +105,7 @@ class PlaceOn(Skill):
         task = generate_task(context)
         support = task.objects["support"]
         surface = surface_arguments(context.library.object(support.model, support.modifiers))
-        return replace(task, arguments=task.arguments | surface)
+        return replace(task, arguments=task.arguments | surface | upright_arguments(task, context.library))
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
         """Require that the arm reaches the target, and a grasp of the target above the support."""
@@ -151,6 +152,11 @@ def placed_on(task: TaskSpec, initial: StateRecord, parameters: PlaceOnParameter
         Condition(name="off_table", measure=table_force(target), most=0.0, reason="touches_table"),
         Condition(name="centred", measure=Measure(name="surface_share", of=share), most=SURFACE_SHARE),
     ]
+    placed += (
+        *stays_upright(task, initial),
+        rests_alone(target, initial, support),
+        nothing_else_put(task, initial, lambda state, name: rests_on(state, name, support)),
+    )
     if parameters.within_m:
         placed.append(Condition(name="near_middle", measure=distance, most=parameters.within_m, reason="not_centred"))
     return lies_still(target, initial, placed, support, parameters.drop_m + parameters.rim_m)

@@ -37,6 +37,7 @@ from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 from roboxim_tasks.sampling.placement import Room
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import GOAL_YAWS, lies_still, put, upright
+from roboxim_tasks.standing import nothing_else_put, rests_alone, stays_upright, upright_arguments
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -50,6 +51,8 @@ WIDE_M = 0.12
 """Length of the shorter side above which the expert first tries to align a side with the direction, which needs the
 least room [m]."""
 BORDER_M = 0.05
+OTHERS_M = 0.1
+"""Distance that another object must have moved to count as put to the same side [m]."""
 NEAREST_M, FARTHEST_M = 0.32, 0.74
 """Smallest and largest distance from the robot's axis at which it places objects from above at any yaw [m]."""
 FARTHEST_X_M, FARTHEST_Y_M = 0.72, 0.32
@@ -106,7 +109,8 @@ class PlaceRelation(Skill):
         robot = context.config.base_scene().robot.pose
         sign = 1.0 if task.arguments["viewpoint"] == "robot" else -1.0
         x, y, _ = robot.rotation.apply((*self.direction, 0.0)) * sign
-        return replace(task, arguments=task.arguments | {"direction_x": float(x), "direction_y": float(y)})
+        toward = {"direction_x": float(x), "direction_y": float(y)}
+        return replace(task, arguments=task.arguments | toward | upright_arguments(task, context.library))
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
         """Require that the relation does not hold yet, and that the arm reaches a free place where it would."""
@@ -156,8 +160,15 @@ class PlaceRelation(Skill):
         target, reference = (task.objects[role].entity for role in ("target", "reference"))
         direction = np.array([parameters.direction_x, parameters.direction_y])
 
-        def components(state: StateRecord) -> tuple[float, float]:
-            return _components(offset(state, target, reference)[:2], direction)
+        def components(state: StateRecord, entity: str = target) -> tuple[float, float]:
+            return _components(offset(state, entity, reference)[:2], direction)
+
+        def put_there(state: StateRecord, entity: str) -> bool:
+            """Return whether another object is in the direction; after tick 0, whether it was also brought there."""
+            way, lateral = components(state, entity)
+            before, now = initial.entity(entity).pose.position, state.entity(entity).pose.position
+            brought = state.seq == initial.seq or math.dist(before, now) > OTHERS_M
+            return brought and way > parameters.along_m and lateral < parameters.lateral_ratio * way
 
         along = Measure(name="along_m", of=lambda state: components(state)[0])
         ratio = Measure(name="lateral_ratio", of=lambda state: components(state)[1] / max(components(state)[0], 1e-6))
@@ -171,6 +182,9 @@ class PlaceRelation(Skill):
             ),
             Condition(name="not_beside", measure=ratio, most=parameters.lateral_ratio, reason="too_far_to_the_side"),
             Condition(name="on_table", measure=table_force(target), least=above(0.0)),
+            *stays_upright(task, initial),
+            rests_alone(target, initial),
+            nothing_else_put(task, initial, put_there),
         )  # fmt: skip
         return Conditions(lies_still(target, initial, placed, reference, parameters.drop_m), hold_s=parameters.hold_s)
 

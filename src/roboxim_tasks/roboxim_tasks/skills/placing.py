@@ -122,7 +122,7 @@ def lies_still(
     if reference:
         gain = lift(reference, initial, "reference_lift_m")
         fallen.append(fallen_off(gain, "reference_not_fallen"))
-    handled = (set_down(target, drop_m),) if may_bounce else (set_down(target, drop_m), not_tossed(target))
+    handled = (set_down(target, drop_m), not_tossed(target, may_bounce=may_bounce))
     return (*fallen, *conditions, *handled, *let_go(target), *at_rest(target))
 
 

@@ -173,6 +173,7 @@ class PushObject(Skill):
         up = tuple(initial.entity(entity).pose.rotation.inv().apply([0.0, 0.0, 1.0]).tolist())
         height = lift(entity, initial)
         highest = [0.0]
+        others = {e.name: e.pose.position[:2] for e in initial.entities if e.name != entity}
 
         def moved(state: StateRecord) -> Array:
             return np.asarray(np.subtract(state.entity(entity).pose.position[:2], start), dtype=float)
@@ -180,6 +181,10 @@ class PushObject(Skill):
         def sideways(state: StateRecord) -> float:
             along = float(moved(state) @ direction)
             return float(np.linalg.norm(moved(state) - along * direction)) / max(along, 1e-6)
+
+        def pushed_along(state: StateRecord) -> float:
+            ways = (np.subtract(state.entity(n).pose.position[:2], at) @ direction for n, at in others.items())
+            return max(map(float, ways), default=0.0)
 
         def highest_lift(state: StateRecord) -> float:
             highest[0] = max(highest[0], height.of(state))
@@ -193,6 +198,8 @@ class PushObject(Skill):
             ),
             Condition(name="pushed", measure=Measure(name="along_m", of=lambda s: float(moved(s) @ direction)),
                       least=parameters.least_m),
+            Condition(name="others_left", measure=Measure(name="others_along_m", of=pushed_along),
+                      most=parameters.least_m, reason="pushed_another_too"),
             Condition(name="straight", measure=Measure(name="lateral_ratio", of=sideways),
                       most=parameters.lateral_ratio),
             Condition(name="upright", measure=tilt(entity, up), most=TILTED_RAD, reason="toppled"),

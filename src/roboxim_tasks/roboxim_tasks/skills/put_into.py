@@ -33,6 +33,7 @@ from roboxim_tasks.roles import description
 from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import GOAL_YAWS, fits, lies_still, put, raised, region_of, region_pose, upright
+from roboxim_tasks.standing import nothing_else_put, rests_on, stays_upright, upright_arguments
 
 DROPS_M = (0.01, 0.03, 0.05)
 RIM_M = 0.01
@@ -124,7 +125,8 @@ class PutInto(Skill):
             instruction = instruction.replace(
                 f"the {whole}", f"the {drawer or interior['joint']} drawer of the {whole}"
             )
-        return replace(task, arguments=task.arguments | interior, instruction=instruction)
+        arguments = task.arguments | interior | upright_arguments(task, context.library)
+        return replace(task, arguments=arguments, instruction=instruction)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
         """Require that the arm reaches the target, and into the container."""
@@ -180,6 +182,8 @@ class PutInto(Skill):
             Condition(name="inside", measure=Measure(name="sideways_share", of=sideways), most=1.0),
             Condition(name="below_rim", measure=depth, least=0.0, most=parameters.depth_m + RIM_M, reason="not_inside"),
             Condition(name="off_table", measure=table_force(target), most=0.0, reason="touches_table"),
+            *stays_upright(task, initial),
+            nothing_else_put(task, initial, lambda state, name: rests_on(state, name, container)),
         )
         return Conditions(
             lies_still(target, initial, placed, container, parameters.drop_m, may_bounce=True),

@@ -31,6 +31,7 @@ from roboxim_tasks.sampling.placement import Room
 from roboxim_tasks.script import APPROACH_M, SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import lies_still
+from roboxim_tasks.standing import rests_alone, stays_upright, upright_arguments
 
 DIRECTIONS = {"clockwise": -1.0, "counter-clockwise": 1.0}
 """Direction in the instruction to the sign of the rotation about the upward vertical."""
@@ -93,7 +94,8 @@ class Rotate(Skill):
         """Draw a task."""
         parameters: RotateParameters = context.parameters
         words = {"direction": parameters.direction, "angle": f"{parameters.angle_deg:g}"}
-        return generate_task(context, words=words)
+        task = generate_task(context, words=words)
+        return replace(task, arguments=task.arguments | upright_arguments(task, context.library))
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
         """Require that the arm reaches a grasp, and the same grasp after the rotation."""
@@ -159,7 +161,8 @@ class Rotate(Skill):
                 most=parameters.angle_deg + parameters.tolerance_deg,
             ),
             Condition(name="on_table", measure=table_force(entity), least=above(0.0)),
-            kept_upright(entity, initial),
+            *(stays_upright(task, initial) or (kept_upright(entity, initial),)),
+            rests_alone(entity, initial),
             Condition(name="stayed", measure=shift(entity, initial), most=parameters.shift_m, reason="moved_away"),
         )  # fmt: skip
         return Conditions(lies_still(entity, initial, placed, drop_m=parameters.drop_m), hold_s=parameters.hold_s)

@@ -1,19 +1,19 @@
-"""Trials about how the target comes to lie: thrown, on its side, pushed to its place."""
+"""Trials about how the target comes to lie: on its side, pushed to its place, turned where it stands."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from roboxim_core.poses import Pose
-from roboxim_tasks.motion import TABLE, ExpertScene, Stage, fingers_touch, shifted
+from roboxim_tasks.motion import TABLE, ExpertScene, Stage, fingers_touch, grasps_of, shifted
 from roboxim_tasks.script import Script
 from roboxim_tasks.skills.push_object import pushing_poses
 from roboxim_tasks.trials.base import cheat, honest
-from roboxim_tasks.trials.moves import around, displaced, each_way, own_ways
+from roboxim_tasks.trials.moves import around, displaced, own_ways
 from roboxim_tasks.trials.place_on import on
 from roboxim_tasks.trials.place_relation import RED_AND_BLUE, beside, direction
 from roboxim_tasks.trials.placing import CUBES, RELATIONS, onto
@@ -52,31 +52,15 @@ def laid_down(scene: ExpertScene, held_in_tcp: Pose, goal: Pose) -> Pose | None:
 @cheat("stack", reason="toppled", change=cans(support="wooden_block"))
 def lay_it_down(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Lay it there on its side, though it stood before."""
-    for grasp, goal in own_ways(scene):
+    goals = {goal.position: goal for _, goal in zip(range(8), (goal for _, goal in own_ways(scene)), strict=False)}
+    sides = [*grasps_of(scene, "target", "tilted"), *grasps_of(scene, "target", "side")]
+    for grasp, goal in itertools.product(sides, goals.values()):
         script = Script(scene)
         script.pick("target", grasp)
         lying = laid_down(scene, script.held_in_tcp, goal)
         if lying is not None:
             script.place(lying, onto=onto(scene), drop_m=0.02 if "container" in scene.task.objects else 0.004)
             yield script.stages
-
-
-@cheat("place_on", reason="tossed", change=on("tray"))
-@cheat("put_into", reason="tossed", change={
-    "objects": {"container": {"models": {"values": ["bowl"]}}, "target": {"models": {"values": ["cube"]}}}
-})  # fmt: skip
-@each_way(over=around(1.0))
-def toss(script: Script, goal: Pose, way: tuple[float, float]) -> None:
-    """Throw it there from 8 cm away."""
-    low = displaced(goal, z=0.09) @ script.held_in_tcp.inverse()
-    script.carry(displaced(low, -0.22 * way[0], -0.22 * way[1]))
-    script.move(displaced(low, -0.22 * way[0], -0.22 * way[1]), name="low")
-    script.move(displaced(low, -0.12 * way[0], -0.12 * way[1]), name="swing", speed=1.0)
-    script.opening = 1.0
-    script.move(displaced(low, -0.02 * way[0], -0.02 * way[1], 0.01), name="throw", speed=1.0)
-    script.held = ""
-    script.move(displaced(low, -0.10 * way[0], -0.10 * way[1], 0.12), name="retreat")
-    script.wait(1.5)
 
 
 # ------------------------------------------------------------------ honest
@@ -98,17 +82,6 @@ def pushed_there(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
             yield script.stages
 
 
-@honest(*RELATIONS, change=RED_AND_BLUE)
-def far_away(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Put it there, 40 cm away."""
-    for length in (0.40, 0.37):
-        for grasp, _ in own_ways(scene):
-            script = Script(scene)
-            script.pick("target", grasp)
-            script.place(beside(scene, "target", "reference", length * direction(scene)))
-            yield script.stages
-
-
 @honest("push_object", change=CUBES)
 def fast(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Push it as fast as the hand goes, so that it slides on a little."""
@@ -119,8 +92,8 @@ def fast(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
         touching = fingers_touch(scene, "target")
         script.move(shifted(begin, 0.1), name="approach", free=True)
         script.move(begin, name="descend", speed=0.6)
-        script.set_entity("target", pose=along(scene.pose_of("target"), toward, 0.13))
-        script.move(along(begin, toward, 0.13), name="push", touching=touching)
+        script.set_entity("target", pose=along(scene.pose_of("target"), toward, 0.14))
+        script.move(along(begin, toward, 0.16), name="push", touching=touching)
         script.move(shifted(along(script.pose, toward, -0.06), 0.05), name="back_off", touching=touching)
         yield script.stages
 
@@ -164,12 +137,6 @@ def _nudged(scene: ExpertScene, entity: str, way_m: float) -> Iterator[tuple[Sta
                 script.pick("target", grasp)
                 script.place(displaced(goal, *shift), onto=entity if entity == "support" else TABLE)
                 yield script.stages
-
-
-@honest(*RELATIONS, change=RED_AND_BLUE)
-def reference_nudged(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Push the reference 4 cm aside before placing."""
-    yield from _nudged(scene, "reference", 0.04)
 
 
 @honest("rotate", change=CUBES)

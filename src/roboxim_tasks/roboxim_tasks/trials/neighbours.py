@@ -15,8 +15,8 @@ from roboxim_tasks.script import Script
 from roboxim_tasks.skills.placing import upright
 from roboxim_tasks.skills.push_object import extent
 from roboxim_tasks.trials.base import cheat, honest
-from roboxim_tasks.trials.moves import about_vertical, around, displaced, own_stages, own_ways
-from roboxim_tasks.trials.place_on import from_middle, on
+from roboxim_tasks.trials.moves import around, displaced, own_stages, own_ways
+from roboxim_tasks.trials.place_on import on
 from roboxim_tasks.trials.place_relation import across, beside, direction
 from roboxim_tasks.trials.placing import CUBES, PLACING, RELATIONS, lowest_m, onto
 from roboxim_tasks.trials.push_object import full_way, push, starts
@@ -32,7 +32,8 @@ def beside_a(model: str, target: Mapping[str, Any] | None = None, color: str = "
     other: dict[str, Any] = {"minimum": 1, "maximum": 1, "models": {"values": [model]}}
     if color:
         other["modifiers"] = {"color": {"values": [color]}}
-    return merged(dict(target or {}), {"distractors": other})
+    changed: dict[str, Any] = merged(dict(target or {}), {"distractors": other})
+    return changed
 
 
 def colored(role: str, model: str, color: str) -> dict[str, Any]:
@@ -65,12 +66,12 @@ def knocked_over(scene: ExpertScene, way: tuple[float, float]) -> Script:
     """Return a script that sweeps the closed fingers through the upper half of the other object."""
     script, pose, model = Script(scene), scene.pose_of(OTHER), scene.model_of(OTHER)
     down = upright(Pose(quat_xyzw=(1.0, 0.0, 0.0, 0.0)), pose.position, 0.0)
-    high = displaced(down, z=0.8 * (model.size[2] - model.rest_height))
+    high = displaced(down, z=0.35 * (model.size[2] - model.rest_height))
     script.opening = 0.0
     script.move(displaced(high, -0.09 * way[0], -0.09 * way[1], 0.10), name="above")
     script.move(displaced(high, -0.09 * way[0], -0.09 * way[1]), name="beside_it")
-    script.move(displaced(high, 0.05 * way[0], 0.05 * way[1]), name="knock")
-    script.move(displaced(high, 0.05 * way[0], 0.05 * way[1], 0.15), name="rise")
+    script.move(displaced(high, 0.09 * way[0], 0.09 * way[1]), name="knock")
+    script.move(displaced(high, 0.09 * way[0], 0.09 * way[1], 0.15), name="rise")
     return script
 
 
@@ -114,6 +115,8 @@ def both(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 def both_in_direction(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Put another object to that side first, and then the target."""
     toward = direction(scene)
+    if float((scene.pose_of(OTHER).position - np.array(scene.pose_of("reference").position)) @ toward) > 0.0:
+        return  # it is there already
     for grasp, goal in own_ways(scene):
         for side in (0.09, -0.09):
             x, y, _ = goal.position + side * across(toward) + 0.03 * toward
@@ -141,55 +144,6 @@ def two_at_once(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
 
 # ------------------------------------------------------------------ leaned or rested on
-
-
-@cheat(*RELATIONS, reason="leans_on_something", change={
-    "objects": {"reference": {"models": {"values": ["wooden_block"]}}, "target": {"models": {"values": ["cube"]}}}
-})  # fmt: skip
-def on_its_edge(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Lean it on the reference, one edge on the table and one on the reference."""
-    toward = direction(scene)
-    top_m = 2 * scene.model_of("reference").rest_height
-    for grasp, _ in own_ways(scene):
-        for overlap_m in (0.012, 0.010):
-            there = put_against(scene, "target", "reference", toward, -overlap_m)
-            script = Script(scene)
-            script.pick("target", grasp)
-            script.place(displaced(there, z=top_m), onto="reference", drop_m=0.002)
-            yield script.stages
-
-
-@cheat("rotate", reason="leans_on_something", change=beside_a("sponge", CUBES))
-def turn_and_lean(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Bring another object beside it, turn it, and put it down with one edge on the other object."""
-    for grasp, goal in own_ways(scene):
-        for way in AROUND:
-            there = put_against(scene, OTHER, "target", vector(way), 0.012)
-            script = Script(scene)
-            moved_over(script, OTHER, there)
-            script.pick("target", grasp)
-            script.place(displaced(goal, 0.024 * way[0], 0.024 * way[1], 0.034), onto=OTHER)
-            yield script.stages
-
-
-@cheat("place_on", reason="leans_on_something", change=beside_a("wooden_block", merged(
-    colored("support", "wooden_block", "red"), {"objects": {"target": {"models": {"values": ["cucumber"]}}}}
-), "blue"))  # fmt: skip
-def across_two(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Bring another block beside the support, and put it across both."""
-    base = scene.pose_of("support")
-    for grasp, goal in own_ways(scene):
-        for side in (0.056, -0.056):
-            x, y, z = base.apply((0.0, side, 0.0)).tolist()
-            script = Script(scene)
-            moved_over(script, OTHER, Pose(position=(x, y, z), quat_xyzw=base.quat_xyzw))
-            script.pick("target", grasp)
-            axis = goal.rotation.apply((1.0, 0.0, 0.0))
-            wanted = base.rotation.apply((0.0, 1.0, 0.0))
-            turn = float(np.arctan2(wanted[1], wanted[0]) - np.arctan2(axis[1], axis[0]))
-            turn = (turn + np.pi / 2) % np.pi - np.pi / 2
-            script.place(about_vertical(from_middle(scene, goal, 0.0, np.sign(side) * 0.75), turn), onto="support")
-            yield script.stages
 
 
 @cheat("turn_upright", reason="leans_on_something", change=merged(
@@ -253,7 +207,8 @@ def flush_with_another(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     for grasp, goal in own_ways(scene):
         for way in AROUND:
             toward = vector(way)
-            far = extent(scene.model_of(OTHER), block, toward) + extent(model, Pose(), -goal.rotation.inv().apply(toward))
+            inward = -goal.rotation.inv().apply(toward)
+            far = extent(scene.model_of(OTHER), block, toward) + extent(model, Pose(), inward)
             x, y, _ = block.position + toward * (far - 0.001)
             at = replace(goal, position=(float(x), float(y), goal.position[2]))
             script = Script(scene)
@@ -261,14 +216,18 @@ def flush_with_another(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
             before = displaced(at, 0.02 * way[0], 0.02 * way[1]) @ script.held_in_tcp.inverse()
             script.carry(before)
             script.move(before, name="lower", speed=0.6, touching=(("target", TABLE),))
-            script.move(at @ script.held_in_tcp.inverse(), name="against", speed=0.3,
-                        touching=(("target", TABLE), ("target", OTHER)))
+            script.move(
+                at @ script.held_in_tcp.inverse(),
+                name="against",
+                speed=0.3,
+                touching=(("target", TABLE), ("target", OTHER)),
+            )
             script.release(at)
+            script.shift((0.0, 0.0, 0.05), name="rise")
             yield script.stages
 
 
-@honest("place_on", "put_into", "rotate", "pick_up", *RELATIONS, "push_object", "push_button",
-        change=beside_a("lemon", {}))
+@honest("place_on", "put_into", "rotate", "pick_up", *RELATIONS, "push_object", change=beside_a("lemon", {}))
 def another_aside_first(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Move another object 8 cm aside first, and then do as the expert does."""
     for x, y in around(0.08):

@@ -24,9 +24,7 @@ def along(pose: Pose, toward: Array, length_m: float) -> Pose:
     return displaced(pose, *(toward * length_m).tolist())
 
 
-def push(
-    script: Script, begin: Pose, length_m: float, *, entity: str = "target", toward: Array | None = None
-) -> None:
+def push(script: Script, begin: Pose, length_m: float, *, entity: str = "target", toward: Array | None = None) -> None:
     """Descend behind an object, push, withdraw, rise; the pose is that of the fingers behind it.
 
     Args:
