@@ -63,7 +63,9 @@ def command(
     with Studio(port=port, open_network=open_network, policies=chosen) as studio:
         click.echo(f"studio at {studio.url}")
         if open_network:
-            click.echo("other machines can connect; traffic is not encrypted", err=True)
+            click.echo(
+                "from other machines: this machine's name instead of 127.0.0.1; traffic is not encrypted", err=True
+            )
         if browser:
             threading.Thread(target=webbrowser.open, args=(studio.url,), daemon=True).start()
         studio.open(opened)
