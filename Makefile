@@ -79,19 +79,19 @@ render-peers: setup ## install MuJoCo and robosuite, so that bench-render and be
 
 policy-octo: setup ## serve Octo on openpi's wire: CHECKPOINT=folder or hf://name SOURCE="octo dlimp"; ARGS="--port 8000"
 	@test -n "$(CHECKPOINT)$$OCTO_CHECKPOINT" || { echo "CHECKPOINT is not set; run: make policy-octo" \
-	  "CHECKPOINT=folder SOURCE=\"octo dlimp\" (clones of octo-models/octo and kvablack/dlimp); see docs/policies.md"; exit 2; }
+	  "CHECKPOINT=folder SOURCE=\"octo dlimp\" (clones of octo-models/octo and kvablack/dlimp); see docs/how-to/policies.md"; exit 2; }
 	@$(BIN)/python scripts/make_environment.py policy-octo
 	.tools/policy-octo-env/bin/python src/roboxim_policies/servers/octo.py $(if $(CHECKPOINT),--checkpoint "$(CHECKPOINT)") \
 	  $(foreach folder,$(SOURCE),--source "$(folder)") $(ARGS)
 
 policy-rt1: setup ## serve RT-1-X on openpi's wire: CHECKPOINT=folder ENCODER=folder; ARGS="--port 8000"
 	@test -n "$(CHECKPOINT)$$RT1_CHECKPOINT" -a -n "$(ENCODER)$$RT1_ENCODER" || { echo "CHECKPOINT or ENCODER is not set; run:" \
-	  "make policy-rt1 CHECKPOINT=folder ENCODER=folder (SavedModels of RT-1-X and of its text encoder); see docs/policies.md"; exit 2; }
+	  "make policy-rt1 CHECKPOINT=folder ENCODER=folder (SavedModels of RT-1-X and of its text encoder); see docs/how-to/policies.md"; exit 2; }
 	@$(BIN)/python scripts/make_environment.py policy-rt1
 	.tools/policy-rt1-env/bin/python src/roboxim_policies/servers/rt1.py $(if $(CHECKPOINT),--checkpoint "$(CHECKPOINT)") \
 	  $(if $(ENCODER),--encoder "$(ENCODER)") $(ARGS)
 
-zero-shot: setup ## evaluate Octo, RT-1-X and OpenVLA (thesis 5.1), starting their servers; see docs/policies.md; ARGS="--help"
+zero-shot: setup ## evaluate Octo, RT-1-X and OpenVLA (thesis 5.1), starting their servers; see docs/how-to/policies.md; ARGS="--help"
 	@$(BIN)/python scripts/zero_shot.py $(ARGS)
 
 photo: setup ## install Blender (GPL) in its own environment, for roboxim rerender --renderer photo

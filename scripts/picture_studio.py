@@ -1,4 +1,4 @@
-"""Make the pictures of docs/studio.md and the film of the README, in a headless Chromium.
+"""Make the pictures of docs/how-to/studio.md and the film of the README, in a headless Chromium.
 
 .venv/bin/python scripts/picture_studio.py docs/images
 """

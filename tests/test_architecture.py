@@ -197,7 +197,7 @@ def test_every_package_is_type_checked_and_built():
 
 
 def test_only_the_video_worker_imports_pyav():
-    """Its wheel bundles GPL codecs, so it stays in a process of its own; see docs/data.md."""
+    """Its wheel bundles GPL codecs, so it stays in a process of its own; see docs/how-to/data.md."""
     importers = {
         path.relative_to(SRC)
         for package in ALLOWED

@@ -25,7 +25,11 @@ from roboxim_core.errors import ConfigError
 from roboxim_ros.testing import PATIENCE_S
 
 ROOT = Path(__file__).parents[1]
-FILES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
+DOCS = ROOT / "docs"
+FILES = [
+    ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("*/*.md")),
+    *sorted((ROOT / "src").glob("*/README.md")),
+]  # fmt: skip
 OWN_NAMES = ("teapot", "pepper_mill", "shake", "my_arm")
 """Objects and skills that the documentation instructs the reader to create."""
 
@@ -65,6 +69,30 @@ SHELL = [
     for block in blocks()
     if block.language in ("", "bash", "console") and re.search(r"^(\$ )?roboxim ", block.text, re.MULTILINE)
 ]
+
+
+def anchors(path: Path) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub and MkDocs make them."""
+    text = re.sub(r"^```.*?^```$", "", path.read_text(), flags=re.MULTILINE | re.DOTALL)
+    found: set[str] = set()
+    for heading in re.findall(r"^#+ (.+)$", text, re.MULTILINE):
+        words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower()
+        found.add(re.sub(r"[^\w\- ]", "", words).strip().replace(" ", "-"))
+    return found
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_lead_to_files_and_headings(file: Path) -> None:
+    text = re.sub(r"^```.*?^```$", "", file.read_text(), flags=re.MULTILINE | re.DOTALL)
+    dead = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`\n]*`", "", text)):
+        if re.match(r"[a-z]+:", link):
+            continue
+        name, _, anchor = link.partition("#")
+        target = file.parent / name if name else file
+        if not target.exists() or (anchor and target.suffix == ".md" and anchor not in anchors(target)):
+            dead.append(link)
+    assert not dead, dead
 
 
 @pytest.mark.parametrize("block", PYTHON, ids=str)
@@ -204,7 +232,7 @@ def test_commands_that_reports_print_are_valid(tmp_path: Path, monkeypatch: pyte
 
 
 def test_documents_use_the_terms_of_the_glossary() -> None:
-    text = (ROOT / "docs" / "glossary.md").read_text()
+    text = (ROOT / "docs" / "reference" / "glossary.md").read_text()
     rows = re.findall(r"^\| (.+?) \| (.+?) \| ?(.*?) ?\|$", text, re.MULTILINE)[2:]
     refused = sorted({word for _, _, others in rows for word in others.split(", ") if word})
     assert len(rows) >= 40

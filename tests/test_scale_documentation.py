@@ -1,4 +1,4 @@
-"""The scripts in docs/scale.md run every shard once; a Slurm array gives the folder of one run."""
+"""The scripts in docs/how-to/scale.md run every shard once; a Slurm array gives the folder of one run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import yaml
 from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.testing import recordings
 
-TEXT = (Path(__file__).parents[1] / "docs" / "scale.md").read_text()
+TEXT = (Path(__file__).parents[1] / "docs" / "how-to" / "scale.md").read_text()
 ROBOXIM = str(Path(sys.executable).parent / "roboxim")
 SBATCH = """#!/bin/bash
 # Runs each task of an array after the other, as Slurm would run them on nodes.
@@ -38,7 +38,7 @@ SCRIPT = block("bash")
 
 @pytest.fixture
 def sbatch(tmp_path):
-    """Return a function that submits docs/scale.md's script to the stand-in."""
+    """Return a function that submits docs/how-to/scale.md's script to the stand-in."""
     bin_folder = tmp_path / "bin"
     bin_folder.mkdir()
 

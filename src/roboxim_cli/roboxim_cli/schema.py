@@ -246,7 +246,7 @@ def page() -> str:
     head = """# YAML files
 
 `roboxim schema` prints this reference, `roboxim schema task --json` a JSON Schema for editors. This page is generated:
-`roboxim schema all --out docs/yaml.md`; a test compares it with the code.
+`roboxim schema all --out docs/reference/yaml.md`; a test compares it with the code.
 
 For VS Code's YAML extension, write `roboxim schema task --out task.schema.json` and begin a task's file with
 `# yaml-language-server: $schema=./task.schema.json`.

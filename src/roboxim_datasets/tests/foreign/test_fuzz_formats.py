@@ -77,5 +77,5 @@ def test_a_hundred_mutations_cause_no_traceback(maker: str, tmp_path: Path) -> N
 @pytest.mark.parametrize("maker", MAKERS)
 def test_two_thousand_mutations_cause_no_traceback(maker: str, tmp_path: Path) -> None:
     found = fuzz(maker, tmp_path, range(100, 2_100))
-    print(f"{maker}: {dict(found)}")  # noqa: T201 - the table of docs/data.md
+    print(f"{maker}: {dict(found)}")  # noqa: T201 - the table of docs/how-to/data.md
     assert sum(found.values()) == 2_000
