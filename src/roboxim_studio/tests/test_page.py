@@ -26,6 +26,7 @@ def test_scrubbing_in_the_page_moves_the_server_and_asks_nobody_else(studio, bag
     assert not chromium.errors
 
 
+@pytest.mark.slow
 def test_a_page_that_is_cut_off_comes_back_and_nothing_scrolls_sideways_on_a_phone(studio, bag, chromium):
     studio.open_bag(bag)
     chromium.resize(390, 844, 2.0, phone=True)
@@ -59,6 +60,7 @@ def test_two_browsers_at_once_show_the_same(studio, bag, chromium):
         chromium.wait("document.querySelector('#tick-facts').innerText.includes('2 of')")
 
 
+@pytest.mark.slow
 def test_words_of_a_bag_are_text_in_the_page(studio, bag, chromium):
     from dataclasses import replace
 

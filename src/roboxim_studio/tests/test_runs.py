@@ -92,6 +92,7 @@ def test_an_exported_dataset_opens_with_pictures_and_curves(studio, run, tmp_pat
     assert np.abs(difference).mean() < 6  # both are JPEG
 
 
+@pytest.mark.slow
 def test_a_shared_episode_plays_offline_and_asks_nobody(bag, chromium, studio, tmp_path):
     film = read_film(bag)
     file = share(film, studio.library, tmp_path / "episode.html")

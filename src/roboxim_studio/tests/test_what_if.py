@@ -33,6 +33,7 @@ def test_the_expert_goes_on_from_a_tick_with_what_the_gripper_holds(lab, film):
     assert answer.film.pictures.at(held + 1).keys() == film.pictures.at(0).keys()
 
 
+@pytest.mark.slow
 def test_a_moved_object_differs_from_there_on_and_marks_the_episode(lab, film):
     answer = ask(lab.graph, film, Question(tick=5, actor=RECORDED, moved="target", by_m=(0.0, 0.2)))
     assert answer.differs_at == 6
