@@ -26,3 +26,25 @@ def test_published_results_follow_from_their_counts(file: Path) -> None:
         card = check_card(data)
         text = experiment_markdown(card, warnings=card_warnings(card))
     assert file.with_name("results.md").read_text() == text, "renew it: report --from card.json --markdown"
+
+
+@pytest.mark.parametrize("file", CARDS, ids=lambda file: file.parent.name)
+def test_pairs_of_published_cards_agree_with_their_counts(file: Path) -> None:
+    """A scene that a proof excludes from one arm is missing from the pairs, and from nothing else."""
+    data = json.loads(file.read_text())
+    for card in data["experiments"].values() if is_benchmark_card(data) else (data,):
+        config = check_card(card).experiment.config
+        counts = {
+            (row["condition"], row["replicate"]): row["by_cell"] for row in card["evaluations"] if not row["checkpoint"]
+        }
+        for number, rows in card["pairs"].items():
+            compare = config.compare[int(number)]
+            for replicate, (both, first, second, neither) in enumerate(rows):
+                one, two = counts[compare.first, replicate], counts[compare.second, replicate]
+                common = [cell for cell in one if cell in two]
+                missing = [sum(arm[c][1] for c in common) - (both + first + second + neither) for arm in (one, two)]
+                if compare.where != "all":
+                    continue  # pairs are those of some cells
+                for arm, solved, gone in zip((one, two), (both + first, both + second), missing, strict=True):
+                    successes = sum(arm[cell][0] for cell in common)
+                    assert 0 <= successes - solved <= gone <= 1, (number, replicate)

@@ -18,7 +18,7 @@ from roboxim_eval.statistics.paired import Pairs, independent_difference, paired
 from roboxim_eval.statistics.rates import success_rate
 from roboxim_eval.statistics.replicates import LEAST_REPLICATES, ConditionDifference, condition_difference
 from roboxim_eval.statistics.scores import Scores, scores
-from roboxim_eval.statistics.tables import Arm, Count
+from roboxim_eval.statistics.tables import Arm, Count, RateInterval
 from roboxim_eval.statistics.verdicts import Verdict, checkpoint_verdict, condition_verdict
 
 MOST_ERRORS = 0.01
@@ -35,6 +35,23 @@ class Outcomes:
     """Number of a comparison to the outcomes of its conditions on shared scenes, for each replicate."""
     failed: Sequence[tuple[str, Collection[str]]] | None = None
     """Failed held-out episodes of the primary comparison's first condition, judged again; none: not judged again."""
+    rate_interval: RateInterval = "beta_binomial"
+    """Method of the intervals of success rates."""
+
+    def arm(self, condition: str) -> Arm:
+        """Return the outcomes of a condition.
+
+        Raises:
+            ConfigError: When it has none.
+        """
+        if condition not in self.counts:
+            raise ConfigError(f"no outcomes of condition '{condition}'; {one_of(self.counts, condition)}")
+        return Arm(replicates=tuple(self.counts[condition]), rate_interval=self.rate_interval)
+
+    @property
+    def arms(self) -> dict[str, Arm]:
+        """Condition to its outcomes."""
+        return {name: self.arm(name) for name in self.counts}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,11 +108,8 @@ def analyse(design: Design, outcomes: Outcomes) -> Analysis:
 
 
 def _arm(design: Design, condition: str, outcomes: Outcomes) -> Arm:
-    if condition not in outcomes.counts:
-        raise ConfigError(f"no outcomes of condition '{condition}'; {one_of(outcomes.counts, condition)}")
-    arm = Arm(replicates=tuple(outcomes.counts[condition]))
     wanted = next(e for e in design.evaluations if e.condition == condition and not e.checkpoint)
-    return arm.within(list(wanted.counts))
+    return outcomes.arm(condition).within(list(wanted.counts))
 
 
 def _keys(design: Design, where: str) -> list[str]:

@@ -18,9 +18,13 @@ from typing import Any
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments.config import ExperimentConfig
+from roboxim_eval.statistics.tables import RateInterval
 
-SCHEMA = 2
-"""Version of the card's form."""
+SCHEMA = 3
+"""Version of the form of new cards."""
+RATE_INTERVALS: dict[int, RateInterval] = {2: "student", 3: "beta_binomial"}
+"""Version of a card's form to the method of its success rates' intervals. A published card keeps its own."""
+KNOWN = " or ".join(str(version) for version in RATE_INTERVALS)
 EXPOSURES = ("no", "yes", "unknown")
 NOT_HASHED = ("sha256", "times")
 
@@ -191,7 +195,7 @@ class Card:
     """Results of an experiment."""
 
     schema: int = SCHEMA
-    """Version of this form."""
+    """Version of this form; it decides the method of the intervals of success rates: 2 Student's t, 3 beta-binomial."""
     experiment: CardExperiment
     """The experiment."""
     code: CardCode = CardCode()
@@ -230,6 +234,17 @@ class Card:
         return (*(verdict.sentence for verdict in self.verdicts), *self.warnings)
 
     @property
+    def rate_interval(self) -> RateInterval:
+        """Method of the intervals of success rates.
+
+        Raises:
+            ConfigError: When the schema is unknown.
+        """
+        if self.schema not in RATE_INTERVALS:
+            raise ConfigError(f"unknown schema {self.schema} of a card; expected {KNOWN}")
+        return RATE_INTERVALS[self.schema]
+
+    @property
     def plain(self) -> dict[str, Any]:
         """The card as plain data."""
         data: dict[str, Any] = json.loads(json.dumps(to_plain(self)))
@@ -248,14 +263,19 @@ def sealed(card: Card) -> Card:
     return replace(card, sha256=sha256_of(content))
 
 
+def is_card(data: Any) -> bool:
+    """Return whether plain data states that it is a card of a known schema."""
+    return isinstance(data, dict) and data.get("schema") in RATE_INTERVALS
+
+
 def parse_card(data: Any, *, source: str = "card") -> Card:
     """Return the card of plain data; its numbers are not checked, see `roboxim_eval.experiments.card_checks`.
 
     Raises:
         ConfigError: When the data is no card of this schema.
     """
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+    if not is_card(data):
         found = data.get("schema") if isinstance(data, dict) else type(data).__name__
-        raise ConfigError(f"{source} is no card of schema {SCHEMA}, found {found!r}; run 'experiment report DIR' again")
+        raise ConfigError(f"{source} is no card of schema {KNOWN}, found {found!r}; run 'experiment report DIR' again")
     card: Card = from_plain(data, Card, source=source)
     return card

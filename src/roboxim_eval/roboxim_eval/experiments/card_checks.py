@@ -43,7 +43,7 @@ def outcomes_of_card(card: Card) -> Outcomes:
         for number, rows in card.pairs.items()
     }
     failed = None if card.judged_again is None else [(row.cell, row.satisfied) for row in card.judged_again]
-    return Outcomes(counts=counts, pairs=pairs, failed=failed)
+    return Outcomes(counts=counts, pairs=pairs, failed=failed, rate_interval=card.rate_interval)
 
 
 def design_of_card(card: Card) -> Design:

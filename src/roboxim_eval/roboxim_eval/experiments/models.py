@@ -217,10 +217,10 @@ def compared_condition(config: ExperimentConfig) -> str:
 
 
 def _arm(name: str, card: Card, condition: str) -> Arm:
-    counts = outcomes_of_card(card).counts
-    if condition not in counts:
-        raise ConfigError(f"{name} has no condition '{condition}'; {one_of(counts, condition)}")
-    return Arm(replicates=tuple(counts[condition]))
+    arms = outcomes_of_card(card).arms
+    if condition not in arms:
+        raise ConfigError(f"{name} has no condition '{condition}'; {one_of(arms, condition)}")
+    return arms[condition]
 
 
 def _keys(card: Card, where: str) -> set[str]:

@@ -28,7 +28,6 @@ from roboxim_eval.report.experiment import (
 )
 from roboxim_eval.report.page import render
 from roboxim_eval.report.scores import behind_scores, score_rows
-from roboxim_eval.statistics.tables import Arm
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,7 +164,7 @@ def _chart(
 
 def _experiment(name: str, card: Card, page: str, warnings: Sequence[str]) -> dict[str, Any]:
     design = design_of_card(card)
-    arms = {key: Arm(replicates=tuple(rows)) for key, rows in outcomes_of_card(card).counts.items()}
+    arms = outcomes_of_card(card).arms
     link = links_into(page)
     return {
         "name": name,

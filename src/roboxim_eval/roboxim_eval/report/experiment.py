@@ -79,7 +79,7 @@ def experiment_page(page: ExperimentPage) -> str:
         ConfigError: When the card lacks counts of a condition or a cell.
     """
     card, design = page.card, design_of_card(page.card)
-    arms = {name: Arm(replicates=tuple(rows)) for name, rows in outcomes_of_card(card).counts.items()}
+    arms = outcomes_of_card(card).arms
     names = list(arms)
     link: Link = episodes_link if page.episodes else no_link
     return render(

@@ -44,7 +44,7 @@ def benchmark_markdown(card: BenchmarkCard, *, warnings: Mapping[str, Sequence[s
 
 def _experiment(card: Card, level: int, warnings: Sequence[str]) -> Iterator[str]:
     config, design = card.experiment.config, design_of_card(card)
-    arms = {name: Arm(replicates=tuple(rows)) for name, rows in outcomes_of_card(card).counts.items()}
+    arms = outcomes_of_card(card).arms
     yield f"{'#' * level} {card.experiment.name}, scale {card.experiment.scale}\n"
     yield f"{config.about}\n"
     yield from (f"- **{one.sentence}**" if one.primary else f"- {one.sentence}" for one in card.verdicts)

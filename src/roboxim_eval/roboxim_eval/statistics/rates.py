@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 from roboxim_core.episode import EpisodeResult
@@ -39,6 +40,7 @@ class SuccessRate:
         )
 
 
+@lru_cache(maxsize=4096)
 def success_rate(successes: int, episodes: int) -> SuccessRate:
     """Return a success rate with its interval at 95 %.
 

@@ -23,6 +23,7 @@ from roboxim_eval.statistics.equivalence import NORMAL, p_within, two_one_sided
 from roboxim_eval.statistics.paired import Pairs, paired_difference
 from roboxim_eval.statistics.rates import SuccessRate, success_rate
 from roboxim_eval.statistics.tables import Arm, require_same_replicates
+from roboxim_eval.statistics.training_spread import mean_rate_interval
 
 MANY = 10**9
 """Degrees of freedom at which Student's t is the normal distribution."""
@@ -166,13 +167,18 @@ def condition_difference(
     )
 
 
-def _pooled(arm: Arm) -> SuccessRate:
-    """Return the rate of an arm, the mean of its cells', as that of the rollouts which would tell it as exactly.
+def _equal_rollouts(arm: Arm) -> float:
+    """Return the number of rollouts in equally full cells that would tell the mean of the cells' rates as exactly.
 
     With n_c rollouts in each of C cells these are C^2 / sum(1 / n_c): all rollouts if the cells have equally many.
     """
     counts = [count.episodes for count in arm.by_cell.values() if count.episodes]
-    episodes = max(1, round(len(counts) ** 2 / sum(1 / count for count in counts)))
+    return len(counts) ** 2 / sum(1 / count for count in counts)
+
+
+def _pooled(arm: Arm) -> SuccessRate:
+    """Return the rate of an arm, the mean of its cells', as that of `_equal_rollouts`."""
+    episodes = max(1, round(_equal_rollouts(arm)))
     successes = round(arm.rate * episodes)
     if 0 < arm.rate < 1:
         successes = min(max(successes, 1), episodes - 1)
@@ -180,13 +186,22 @@ def _pooled(arm: Arm) -> SuccessRate:
 
 
 def condition_rate(arm: Arm) -> Interval:
-    """Return the success rate of a condition: t over its trainings, never narrower than that of the rollouts alone."""
+    """Return the success rate of a condition over its trainings, with its 95 % interval.
+
+    The interval is the union of three: Student's t over the trainings' rates, that of the rollouts alone, and
+    `mean_rate_interval`, which holds where trainings agree by chance near 0 and 1. ``student`` omits the last one. One
+    training has the interval of its rollouts alone, which says nothing about other trainings.
+    """
     pooled, rates = _pooled(arm), arm.rates
     below, above = pooled.rate - pooled.low, pooled.high - pooled.rate
     if len(rates) > 1:
         half = _t_limit(0.975, len(rates) - 1) * float(np.std(rates, ddof=1)) / math.sqrt(len(rates))
         below, above = max(below, half), max(above, half)
-    return Interval(value=arm.rate, low=max(0.0, arm.rate - below), high=min(1.0, arm.rate + above))
+    low, high = max(0.0, arm.rate - below), min(1.0, arm.rate + above)
+    if len(rates) > 1 and arm.rate_interval == "beta_binomial":
+        bounds = mean_rate_interval(rates.tolist(), _equal_rollouts(arm) / len(rates))
+        low, high = min(low, bounds[0]), max(high, bounds[1])
+    return Interval(value=arm.rate, low=low, high=high)
 
 
 def condition_ratio(first: Arm, second: Arm) -> Interval:

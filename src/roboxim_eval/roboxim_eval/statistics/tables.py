@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Array
+
+RateInterval = Literal["student", "beta_binomial"]
+"""Method of the interval of a condition's success rate, see `roboxim_eval.statistics.replicates.condition_rate`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +42,8 @@ class Arm:
 
     replicates: tuple[Mapping[str, Count], ...]
     """For each training: cell to its count."""
+    rate_interval: RateInterval = "beta_binomial"
+    """Method of the interval of its success rate; ``student`` is that of cards of schema 2."""
 
     def __post_init__(self) -> None:
         """Check that all replicates met the same cells.
@@ -67,7 +73,7 @@ class Arm:
         missing = [cell for cell in cells if cell not in self.replicates[0]]
         if missing:
             raise InvalidRequestError(f"cells that the arm did not meet: {', '.join(missing)}")
-        return Arm(replicates=tuple({cell: r[cell] for cell in cells} for r in self.replicates))
+        return replace(self, replicates=tuple({cell: r[cell] for cell in cells} for r in self.replicates))
 
     @property
     def rates(self) -> Array:

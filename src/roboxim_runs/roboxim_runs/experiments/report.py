@@ -16,7 +16,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json
 from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Design, ExperimentConfig, stages_of
-from roboxim_eval.experiments.card import SCHEMA, Card
+from roboxim_eval.experiments.card import Card, is_card
 from roboxim_eval.experiments.card_checks import check_card, design_of_card
 from roboxim_eval.experiments.cost import FILMS
 from roboxim_runs.episodes.facts import EpisodeFacts, episode_facts
@@ -104,7 +104,7 @@ def folder_card(folder: ExperimentFolder) -> Card:
     """
     path = folder.path / CARD_FILE
     stored = read_json(path) if path.exists() else None
-    if not isinstance(stored, Mapping) or stored.get("schema") != SCHEMA:
+    if not is_card(stored):
         card = collect_card(
             folder.name, folder.scale, folder.design, folder.path, trainer=folder.trainer, renderer=folder.renderer
         )
