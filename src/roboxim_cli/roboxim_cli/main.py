@@ -22,7 +22,7 @@ FOLDERS = ("commands", "ros")
 """Folders with a file for each subcommand, at any depth."""
 SECTIONS = {
     "The main job": ("demo", "tasks", "generate", "merge", "export", "dataset", "train", "evaluate", "report"),
-    "Experiments": ("experiment", "benchmark"),
+    "Experiments": ("experiment", "benchmark", "audit-benchmark"),
     "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor", "upgrade-check"),
     "Planning": ("planner",),
     "Recordings": ("show", "bag", "replay", "rerender", "view"),

@@ -1,0 +1,66 @@
+"""Probe a Gymnasium environment for what makes its success rates wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import Any
+
+import click
+
+from roboxim_cli import strict
+
+
+def _options(words: tuple[str, ...]) -> dict[str, Any]:
+    """Return the options of an environment."""
+    import yaml
+
+    if wrong := [word for word in words if not word.partition("=")[0].isidentifier() or "=" not in word]:
+        raise click.UsageError(f"--option must be KEY=VALUE, e.g. env_name=reach-v3; got {wrong[0]!r}")
+    return {key: yaml.safe_load(value) for key, _, value in (word.partition("=") for word in words)}
+
+
+@strict.command()
+@click.argument("environment")
+@click.option("--seeds", default=8, show_default=True, help="Number of seeds whose scenes are compared.")
+@click.option("--steps", default=20, show_default=True, help="Number of steps of a probe.")
+@click.option("--episodes", default=20, show_default=True, help="Number of whole episodes of each way to act.")
+@click.option("--limit", default=1000, show_default=True, help="Number of steps after which an episode is given up.")
+@click.option(
+    "--solver", default="", metavar="FILE.py:NAME",
+    help="Function that returns a policy, a function of observation and instruction; for the checks of words, replay "
+    "and rewards.",
+)  # fmt: skip
+@click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Option of the environment, YAML.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def command(
+    environment: str, seeds: int, steps: int, episodes: int, limit: int, solver: str, options: tuple[str, ...],
+    as_json: bool,
+) -> None:  # fmt: skip
+    r"""Probe a Gymnasium ENVIRONMENT for what makes its success rates wrong or not repeatable.
+
+    \b
+    roboxim audit-benchmark roboxim/PickCube-v0 --episodes 3
+    roboxim audit-benchmark gymnasium_robotics:FetchReach-v4 --limit 50
+
+    ENVIRONMENT is a registered id, or MODULE:ID with the module that registers it. The exit code is 1 when a fault was
+    found.
+    """
+    from roboxim_policies.base import find_policy
+    from roboxim_runs.environments.benchmark_audit import AuditConfig, audit_benchmark, environment_maker
+
+    config = AuditConfig(seeds=seeds, steps=steps, episodes=episodes, limit=limit)
+    make = environment_maker(environment, **_options(options))
+    found = audit_benchmark(make, config, solver=find_policy(solver) if solver else None)  # type: ignore[arg-type]
+    if as_json:
+        click.echo(json.dumps(dataclasses.asdict(found), indent=2))
+    else:
+        for finding in found.findings:
+            click.echo(f"fault  {finding.check}: {finding.sentence}")
+        for name, reason in found.untested.items():
+            click.echo(f"not tested  {name}: {reason}")
+        for way, rate in found.rates.items():
+            click.echo(f"success, {way}: {rate}")
+        faulty = len({finding.check for finding in found.findings})
+        click.echo(f"{environment}: {len(found.passed)} checks passed, {faulty} found faults")
+    raise SystemExit(int(bool(found.findings)))

@@ -1,0 +1,312 @@
+"""From probes of an environment to findings: what makes success rates of a benchmark wrong or not repeatable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from roboxim_eval.auditing.trace import Probes, Trace
+from roboxim_eval.statistics.rates import success_rate
+
+TOO_EASY = 0.05
+"""Lower bound of a success rate without skill above which it is a fault."""
+Said = Iterator[str]
+"""Sentences of a check: none, it passed. One that begins with ``?`` says why it could not be made."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """A fault."""
+
+    check: str
+    """Name of the check."""
+    sentence: str
+    """What was seen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Audit:
+    """The result of all checks."""
+
+    findings: tuple[Finding, ...]
+    """The faults."""
+    passed: tuple[str, ...]
+    """Names of the checks without one."""
+    untested: dict[str, str]
+    """Names of the checks that could not be made, with the reason."""
+    rates: dict[str, str]
+    """Success rate of each way to act, with its interval."""
+
+
+def audit_findings(probes: Probes) -> Audit:
+    """Judge the probes of an environment."""
+    findings, passed, untested = [], [], {}
+    for name, check in CHECKS.items():
+        said = list(check(probes))
+        if said and said[0].startswith("?"):
+            untested[name] = said[0][1:].strip()
+        elif said:
+            findings += [Finding(check=name, sentence=sentence) for sentence in dict.fromkeys(said)]
+        else:
+            passed.append(name)
+    ways = {
+        "no motion": probes.noop, "random actions": probes.random, "solver": probes.solved,
+        "solver without words": probes.wordless, "replayed actions with other seeds": probes.replayed_elsewhere,
+    }  # fmt: skip
+    rates = {way: _rate(traces) for way, traces in ways.items() if traces and _verdicts(traces)}
+    return Audit(findings=tuple(findings), passed=tuple(passed), untested=untested, rates=rates)
+
+
+def _verdicts(traces: Sequence[Trace]) -> list[bool]:
+    return [trace.success for trace in traces if trace.success is not None]
+
+
+def _rate(traces: Sequence[Trace]) -> str:
+    verdicts = _verdicts(traces)
+    return str(success_rate(sum(verdicts), len(verdicts)))
+
+
+def _whole(probes: Probes) -> list[Trace]:
+    return [*probes.noop, *probes.random, *probes.solved]
+
+
+# ------------------------------------------------------------------ repeatable
+
+
+def _same(one: Trace, two: Trace, what: str) -> Said:
+    if where := one.first_difference(two):
+        yield f"{what} differs: {where}"
+
+
+def _same_seed(p: Probes) -> Said:
+    yield from _same(p.first, p.again, "the same seed and actions a second time")
+
+
+def _instances(p: Probes) -> Said:
+    yield from _same(p.first, p.other_instance, "the same seed and actions in a second environment of the process")
+
+
+def _order(p: Probes) -> Said:
+    yield from _same(p.first, p.after_others, "the same seed and actions after resets to other seeds")
+
+
+def _leak(p: Probes) -> Said:
+    yield from _same(p.first, p.after_episode, "the same seed and actions after an episode of another seed")
+
+
+def _global_random(p: Probes) -> Said:
+    yield from _same(p.first, p.other_global_seed, "the same seed and actions with other global random numbers")
+
+
+def _global_state(p: Probes) -> Said:
+    if p.touches_global_random:
+        yield "a reset or a step changes the global generators of random or NumPy, on which other code may depend"
+
+
+def _seeds_matter(p: Probes) -> Said:
+    distinct = len({(trace.observations[0], trace.instruction) for trace in p.seeds.values()})
+    if distinct == 1:
+        yield f"{len(p.seeds)} seeds give the same first observation and instruction"
+    elif distinct < len(p.seeds):
+        yield f"{len(p.seeds)} seeds give only {distinct} different first observations"
+
+
+def _unseeded(p: Probes) -> Said:
+    one, two = p.unseeded
+    if one != two:
+        yield "resets without a seed, after the same seeded one, differ between two runs"
+    elif len(set(one)) < len(one) and len({trace.observations[0] for trace in p.seeds.values()}) > 1:
+        yield "resets without a seed repeat a scene"
+
+
+# ------------------------------------------------------------------ observations and actions
+
+
+def _values(p: Probes) -> Said:
+    for trace in (p.first, p.still, *p.seeds.values(), *_whole(p)):
+        yield from trace.faults
+
+
+def _notes(p: Probes) -> Said:
+    yield from p.notes
+
+
+def _observes(p: Probes) -> Said:
+    if p.first.steps and len(set(p.first.observations)) == 1:
+        yield f"{p.first.steps} random actions do not change the observation"
+    elif p.first.steps and p.first.observations == p.still.observations:
+        yield "random actions and no motion give the same observations: actions have no effect"
+
+
+def _clips(p: Probes) -> Said:
+    if p.beyond.refused:
+        return
+    if not p.beyond.steps:
+        yield "? actions have no bounds"
+    elif not np.allclose(p.beyond.final, p.clipped.final, rtol=1e-3, atol=1e-3):
+        yield "components of actions at twice their bounds have another effect than at their bounds, and no error"
+
+
+def _nan(p: Probes) -> Said:
+    if p.not_a_number is None:
+        yield "? actions are whole numbers"
+    elif not p.not_a_number.refused:
+        yield "an action of NaN is accepted without an error"
+
+
+# ------------------------------------------------------------------ success and reward
+
+
+def _says_success(p: Probes) -> Said:
+    if not _verdicts(_whole(p)):
+        yield "no step says whether the task succeeded (is_success or success in info)"
+
+
+def _no_motion(p: Probes) -> Said:
+    yield from _without_skill(p.noop, "without motion")
+
+
+def _random(p: Probes) -> Said:
+    yield from _without_skill(p.random, "with random actions")
+
+
+def _without_skill(traces: Sequence[Trace], how: str) -> Said:
+    verdicts = _verdicts(traces)
+    if not verdicts:
+        yield "? no episode says whether it succeeded"
+    elif success_rate(sum(verdicts), len(verdicts)).low > TOO_EASY:
+        yield f"{how} episodes succeed: {_rate(traces)}"
+
+
+def _starts_unsolved(p: Probes) -> Said:
+    solved = sum(trace.start_success is True for trace in p.seeds.values())
+    if solved:
+        yield f"{solved} of {len(p.seeds)} resets say that the task has succeeded"
+
+
+def _reward(p: Probes) -> Said:
+    """Sparse rewards agree with the success step by step; of dense ones a success has the larger final one."""
+    steps = [
+        (reward, said)
+        for trace in _whole(p)
+        for reward, said in zip(trace.rewards, trace.successes, strict=True)
+        if said is not None
+    ]
+    if not steps:
+        yield "? no step says whether it succeeded"
+        return
+    levels = {reward for reward, _ in steps}
+    good = [reward for reward, said in steps if said]
+    bad = [reward for reward, said in steps if not said]
+    if len(levels) <= 2 and good and bad:
+        wrong = sum(reward == max(levels) for reward in bad) + sum(reward != max(levels) for reward in good)
+        if wrong:
+            yield f"reward and success disagree in {wrong} of {len(steps)} steps"
+    elif len(levels) == 2 and not good:
+        paid = sum(reward == max(levels) for reward in bad)
+        yield f"{paid} of {len(steps)} steps have the larger one of two rewards, and none of them succeeds"
+    elif good and bad and len(levels) > 2 and sum(good) / len(good) <= sum(bad) / len(bad):
+        yield "the mean reward of successful steps is not above that of the others"
+    elif not good:
+        yield "? no step succeeded; give a solver"
+
+
+def _keeps_success(p: Probes) -> Said:
+    lost = [t for t in _whole(p) if any(t.successes) and t.success is False]
+    if lost:
+        yield (
+            f"{len(lost)} episodes report success at a step and none at their end; "
+            "a rate depends on which of them an evaluation reads"
+        )
+
+
+def _ends(p: Probes) -> Said:
+    open_ones = sum(not trace.ended for trace in _whole(p))
+    if open_ones:
+        yield f"{open_ones} of {len(_whole(p))} episodes are not over after {p.limit} steps"
+
+
+def _limit(p: Probes) -> Said:
+    """A time limit is a truncation: learners take a termination for a state without future reward."""
+    failed = [t for t in _whole(p) if t.ended and t.success is False]
+    longest = {t.steps for t in failed}
+    if len(failed) > 2 and len(longest) == 1 and longest != {1} and all(t.terminated for t in failed):
+        yield f"all failed episodes terminate after {longest.pop()} steps; a time limit is to be reported as truncated"
+
+
+def _finite(p: Probes) -> Said:
+    if any(not math.isfinite(reward) for trace in (p.first, *_whole(p)) for reward in trace.rewards):
+        yield "a reward is not finite"
+
+
+# ------------------------------------------------------------------ words and replay
+
+
+def _words(p: Probes) -> Said:
+    words = [trace.instruction for trace in p.seeds.values()]
+    if all(word is None for word in words):
+        yield "? the environment has no instruction"
+    elif any(not (word or "").strip() for word in words):
+        yield f"{sum(not (word or '').strip() for word in words)} of {len(words)} instructions are empty"
+
+
+def _words_needed(p: Probes) -> Said:
+    if not p.wordless:
+        yield "? needs an environment with an instruction, and a solver"
+        return
+    several = len({trace.instruction for trace in p.seeds.values()}) > 1
+    with_words, without = sum(_verdicts(p.solved)), sum(_verdicts(p.wordless))
+    if several and 0 < with_words <= without:
+        yield f"the solver succeeds as often without the instruction ({_rate(p.wordless)}): the scene tells the task"
+
+
+def _replay(p: Probes) -> Said:
+    if p.replayed is None or p.solved_trace is None:
+        yield "? no episode succeeded; give a solver"
+    else:
+        yield from _same(p.solved_trace, p.replayed, "a successful episode, its actions replayed,")
+
+
+def _scene_matters(p: Probes) -> Said:
+    if not p.replayed_elsewhere:
+        yield "? no episode succeeded; give a solver"
+        return
+    verdicts = _verdicts(p.replayed_elsewhere)
+    if verdicts and success_rate(sum(verdicts), len(verdicts)).low > 0.5:
+        yield f"the actions of one episode solve other seeds without looking: {_rate(p.replayed_elsewhere)}"
+
+
+CHECKS: dict[str, Callable[[Probes], Said]] = {
+    "same_seed": _same_seed,
+    "instances": _instances,
+    "order": _order,
+    "reset_leak": _leak,
+    "global_random": _global_random,
+    "global_state": _global_state,
+    "seeds_matter": _seeds_matter,
+    "unseeded": _unseeded,
+    "values": _values,
+    "shared_memory": _notes,
+    "observes_actions": _observes,
+    "clipped_actions": _clips,
+    "nan_actions": _nan,
+    "says_success": _says_success,
+    "no_motion": _no_motion,
+    "random_actions": _random,
+    "starts_unsolved": _starts_unsolved,
+    "reward": _reward,
+    "finite_rewards": _finite,
+    "keeps_success": _keeps_success,
+    "ends": _ends,
+    "time_limit": _limit,
+    "instructions": _words,
+    "words_needed": _words_needed,
+    "replay": _replay,
+    "scene_matters": _scene_matters,
+}
+"""Name of a check to the check, in the order of the report."""
+
+__all__ = ["CHECKS", "Audit", "Finding", "audit_findings"]

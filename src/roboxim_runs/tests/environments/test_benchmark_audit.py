@@ -1,0 +1,163 @@
+"""The audit of benchmarks on a toy environment: without a fault it finds none, and each planted fault is found."""
+
+import random
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.spaces import Box, Dict
+
+from roboxim_core.errors import ConfigError
+from roboxim_runs.environments.benchmark_audit import AuditConfig, audit_benchmark, environment_maker
+
+CONFIG = AuditConfig(seeds=6, steps=5, episodes=8, limit=20)
+LEFT, RIGHT = "reach the left goal", "reach the right goal"
+
+
+class Reach(gymnasium.Env):
+    """A point reaches one of two goals, which its instruction names. ``fault`` plants a fault."""
+
+    made = 0
+
+    def __init__(self, fault=""):
+        self.fault = fault
+        where = Box(-5, 5, (2,), np.float64)
+        self.observation_space = Dict({"point": where, "left": where, "right": where})
+        self.action_space = Box(-0.6, 0.6, (2,), np.float64)
+        self.resets, self.worn = 0, 0.0
+        Reach.made += 1
+        self.number = Reach.made
+        self.rng = np.random.default_rng(0)
+
+    def reset(self, *, seed=None, options=None):
+        if seed is not None:
+            self.rng = np.random.default_rng({"seed_ignored": 0, "few_scenes": seed % 2}.get(self.fault, seed))
+        if self.fault == "unseeded_scenes" and seed is None:
+            self.rng = np.random.default_rng()
+        if self.fault == "unseeded_same" and seed is None:
+            self.rng = np.random.default_rng(1)
+        self.resets += 1
+        shift = {
+            "entropy": lambda: np.random.default_rng().normal(), "count_of_resets": lambda: 0.01 * (self.resets > 3),
+            "instance": lambda: 0.01 * (self.number % 2), "leak": lambda: self.worn, "global": random.random,
+        }.get(self.fault, float)()  # fmt: skip
+        if self.fault == "seeds_global":
+            np.random.seed(seed)
+        self.point = self.rng.uniform(-1, 1, 2) + shift
+        self.left = self.rng.uniform([-4, 3], [-3, 4])
+        self.right = self.rng.uniform([3, 3], [4, 4])
+        self.words = "" if self.fault == "empty_words" else (LEFT, RIGHT)[int(self.rng.integers(2))]
+        if self.fault == "same_scene":
+            self.point, self.left, self.right = np.zeros(2), np.array([-3.5, 3]), np.array([-3.5, 3])
+            self.point += 1e-9 * self.rng.normal(size=2)
+        if self.fault == "told_by_scene":
+            self.left[:] = self.right[:] = self.left if self.words == LEFT else self.right
+        self.ticks, self.done_once = 0, False
+        self.shared = self.point.copy()
+        return self.observation(), self.info(self.fault == "starts_solved")
+
+    def observation(self):
+        point = self.point.copy()
+        if self.fault == "shared_observation":
+            self.shared[:] = self.point
+            point = self.shared
+        if self.fault == "out_of_space":
+            point += 20
+        if self.fault == "nan_observation" and self.ticks > 3:
+            point[0] = np.nan
+        if self.fault == "frozen":
+            point[:] = 0
+        return {"point": point, "left": self.left.copy(), "right": self.right.copy()}
+
+    def info(self, success):
+        return {"task_description": self.words} | ({} if self.fault == "silent" else {"is_success": bool(success)})
+
+    def step(self, action):
+        if not np.isfinite(action).all():
+            if self.fault != "nan_accepted":
+                raise ValueError("the action is not finite")
+            action = np.zeros(2)
+        if self.fault == "action_changed":
+            action *= 0.5
+        if self.fault != "unclipped":
+            action = np.clip(action, -0.6, 0.6)
+        if self.fault != "no_effect":
+            self.point = np.clip(self.point + action + (1e-6 * np.random.default_rng().normal()
+                                                       if self.fault == "noisy_steps" else 0), -5, 5)  # fmt: skip
+        self.ticks += 1
+        self.worn += 0.001
+        goal = self.left if self.words == LEFT else self.right
+        near = bool(np.linalg.norm(self.point - goal) < 0.3)
+        success = near or self.fault == "always_solved" or (self.fault == "random_solves" and np.abs(action).max() > 0)
+        if self.fault == "flickers":
+            success = self.ticks == 3 or near
+        over = success and self.fault not in ("flickers",)
+        limit = self.ticks >= 15 and self.fault != "endless"
+        reward = float(success)
+        if self.fault == "pays_failure":
+            reward = float(self.ticks == 5)
+        if self.fault == "inverted_dense":
+            reward = float(np.linalg.norm(self.point - goal))
+        if self.fault == "infinite_reward" and self.ticks == 2:
+            reward = np.inf
+        if self.fault == "limit_terminates":
+            over, limit = over or limit, False
+        return self.observation(), reward, bool(over), bool(limit and not over), self.info(success)
+
+
+def solver():
+    """Go to the goal that the instruction names; without words, to the left one."""
+
+    def act(observation, words):
+        goal = observation["right" if words == RIGHT else "left"]
+        return np.nan_to_num(np.clip(goal - observation["point"], -0.6, 0.6))
+
+    return act
+
+
+PLANTED = {
+    "entropy": "same_seed", "noisy_steps": "same_seed", "count_of_resets": "order", "instance": "instances",
+    "leak": "reset_leak", "global": "global_random", "seeds_global": "global_state", "seed_ignored": "seeds_matter",
+    "few_scenes": "seeds_matter", "unseeded_scenes": "unseeded", "unseeded_same": "unseeded", "out_of_space": "values",
+    "nan_observation": "values", "shared_observation": "shared_memory", "action_changed": "shared_memory",
+    "frozen": "observes_actions", "no_effect": "observes_actions", "unclipped": "clipped_actions",
+    "nan_accepted": "nan_actions", "silent": "says_success", "always_solved": "no_motion",
+    "random_solves": "random_actions", "starts_solved": "starts_unsolved", "pays_failure": "reward",
+    "inverted_dense": "reward", "infinite_reward": "finite_rewards", "flickers": "keeps_success", "endless": "ends",
+    "limit_terminates": "time_limit", "empty_words": "instructions", "told_by_scene": "words_needed",
+    "same_scene": "scene_matters",
+}  # fmt: skip
+"""Planted fault to the check that must find it."""
+
+
+def test_an_environment_without_a_fault_passes_every_check():
+    found = audit_benchmark(Reach, CONFIG, solver=solver)
+    assert found.findings == ()
+    assert found.untested == {}
+    assert found.rates["solver"].startswith("8 of 8")
+    assert found.rates["no motion"].startswith("0 of 8")
+
+
+@pytest.mark.parametrize("fault", PLANTED)
+def test_a_planted_fault_is_found(fault):
+    found = audit_benchmark(lambda: Reach(fault), CONFIG, solver=solver)
+    assert PLANTED[fault] in {one.check for one in found.findings}, found
+
+
+def test_without_a_solver_what_needs_one_is_named():
+    found = audit_benchmark(Reach, CONFIG)
+    assert found.findings == ()
+    assert {"words_needed", "replay", "scene_matters"} <= set(found.untested)
+
+
+def test_a_broken_environment_and_an_unknown_one_are_refused():
+    class Broken(Reach):
+        def reset(self, **_):
+            raise RuntimeError("no scene")
+
+    with pytest.raises(ConfigError, match=r"reset\(seed=0\) failed: RuntimeError: no scene"):
+        audit_benchmark(Broken, CONFIG)
+    with pytest.raises(ConfigError, match="no environment 'Nothing-v0'"):
+        environment_maker("Nothing-v0")
+    with pytest.raises(ConfigError, match="at least 2 seeds"):
+        AuditConfig(seeds=1)
