@@ -15,6 +15,7 @@ pytest.importorskip("rclpy")
 
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError, EvaluationError, PolicyError
+from roboxim_runs.environments.benchmark_audit import AuditConfig, audit_benchmark, environment_maker
 from roboxim_runs.environments.session import EpisodeSession, SessionConfig
 
 NAME = "roboxim:roboxim/PickCube-v0"
@@ -32,6 +33,15 @@ def expert(expert_bag):
     """The second scene that an evaluation with seed 5 has."""
     _, result, ticks = expert_bag(seed=5, index=1, size=32)
     return result, ticks
+
+
+@pytest.mark.slow
+def test_the_audit_of_benchmarks_finds_nothing():
+    """The command and the line of docs/experiments.md."""
+    make = environment_maker("roboxim/PickCube-v0", size=32)
+    found = audit_benchmark(make, AuditConfig(episodes=1, seeds=4, steps=8))
+    assert found.findings == ()
+    assert len(found.passed) == 22
 
 
 def test_gymnasiums_checker_finds_nothing(env):

@@ -134,3 +134,14 @@ def test_resources_that_are_none_are_refused_with_an_example(text):
     assert parse_resources("--resources", "cpu=2,Gpu=0.25,mine=1") == {"CPU": 2.0, "GPU": 0.25, "mine": 1.0}
     with pytest.raises(ConfigError, match=r"--resources is NAME=N,\.\.\. with N from 0"):
         parse_resources("--resources", text)
+
+
+def test_an_audit_of_a_benchmark_names_faults_and_ends_with_code_1(tmp_path):
+    (tmp_path / "mine.py").write_text("def balance():\n    return lambda seen, words: int(seen[2] + seen[3] > 0)\n")
+    words = ["audit-benchmark", "CartPole-v1", "--episodes", "2", "--solver", f"{tmp_path / 'mine.py'}:balance"]
+    result = CliRunner().invoke(group, words)
+    assert result.exit_code == 1
+    assert "fault  says_success: no step says whether the task succeeded" in result.stdout
+    assert result.stdout.endswith("CartPole-v1: 16 checks passed, 1 found faults\n")
+    assert "no environment 'Nothing-v0'" in mistake("audit-benchmark", "Nothing-v0")
+    assert CliRunner().invoke(group, ["audit-benchmark", "CartPole-v1", "--option", "size"]).exit_code == 2
