@@ -48,6 +48,7 @@ soak: setup ## generate 10,000 episodes without cameras and 2,000 with; draw mem
 	$(BIN)/python -m benchmarks.graph.soak $(ARGS)
 
 docs: setup ## build the documentation into site/
+	@$(BIN)/python scripts/make_environment.py docs
 	$(BIN)/python scripts/docs.py $(ARGS)
 
 verify-conventions: setup ## compare conventions with genuine clients and robosuite: SOURCE="../openpi ../openvla-oft" runs clones' code

@@ -100,6 +100,7 @@ def main() -> None:
         "planner-roboplan",
         "robosuite",
         "photo",
+        "docs",
         "policy-octo",
         "verify-conventions",
     ):
