@@ -1,7 +1,7 @@
 """Check the links of every Markdown file, then build the documentation as a site into `site/`.
 
 The check covers links to files and to headings. It does not follow links to the web. The site has the pages of `docs/`
-in the order of `mkdocs.yml`, the README as its front page, the help of every command (`cli.md`), and the reference of
+in the order of `mkdocs.yml`, the README as its front page, the help of every command, and the reference of
 all packages (`api/`). It opens and searches without a network.
 """
 
@@ -16,6 +16,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 SITE = ROOT / "site"
+DOCS = ROOT / "docs"
+RAW_RESULTS = ("*-laptop", "*-night", "conventions")
+"""Folders of `docs/results` that hold data rather than pages."""
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)[^)]*\)|<img[^>]+src=\"([^\"]+)\"")
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("src/*/setup.py"))
 
@@ -60,7 +63,16 @@ def main() -> int:
         shutil.copy(ROOT / "mkdocs.yml", folder)
         mkdocs = ROOT / ".tools" / "docs-env" / "bin" / "mkdocs"
         subprocess.run([mkdocs, "build", "--quiet", "--strict", "--site-dir", SITE], cwd=folder, check=True)
-    command = [sys.executable, "-m", "pdoc", "--docformat", "google", "--output-directory", str(SITE / "api"), *PACKAGES]
+    command = [
+        sys.executable,
+        "-m",
+        "pdoc",
+        "--docformat",
+        "google",
+        "--output-directory",
+        str(SITE / "api"),
+        *PACKAGES,
+    ]
     result = subprocess.run(command, cwd=ROOT, check=False)
     if result.returncode == 0:
         print(f"The site is in {(SITE / 'index.html').relative_to(ROOT)}.")
@@ -69,27 +81,39 @@ def main() -> int:
 
 def write_pages(folder: Path) -> None:
     """Write what the site is built from: the pages of `docs/`, the README and the help of all commands."""
-    shutil.copytree(ROOT / "docs", folder, ignore=shutil.ignore_patterns("results"))
+    shutil.copytree(DOCS, folder, ignore=shutil.ignore_patterns(*RAW_RESULTS))
     shutil.copy(ROOT / "README.md", folder / "index.md")
-    for page in folder.glob("*.md"):
-        page.write_text(site_links(page.read_text(), front=page.name == "index.md"))
-    (folder / "cli.md").write_text(command_reference())
-    (folder / "api.md").write_text("# Python (API)\n\nThe [reference of all packages](api/index.html){ target=_blank } is made from their docstrings.\n")
+    for page in folder.rglob("*.md"):
+        source = ROOT / "README.md" if page.name == "index.md" else DOCS / page.relative_to(folder)
+        page.write_text(site_links(page.read_text(), source, folder))
+    (folder / "reference" / "cli.md").write_text(command_reference())
+    (folder / "reference" / "api.md").write_text(
+        '# Python (API)\n\nThe <a href="../api/index.html">reference of all packages</a> is made of docstrings.\n'
+    )
 
 
-def site_links(text: str, *, front: bool) -> str:
-    """Return a page with links that work on the site: what it does not hold, such as sources, loses its link."""
+def site_links(text: str, source: Path, folder: Path) -> str:
+    """Return a page with links that work on the site: what it does not hold, such as sources, loses its link.
+
+    Args:
+        text: The page.
+        source: Its file in the checkout.
+        folder: Folder of the site's pages.
+    """
 
     def rewritten(found: re.Match[str]) -> str:
-        label, target = found[1], found[2]
-        if "://" in target or target.startswith("#"):
+        image, label, target = found.groups()
+        name, _, anchor = target.partition("#")
+        if "://" in target or not name:
             return found[0]
-        target = target.removeprefix("docs/") if front else target
-        held = not target.startswith("..") and (ROOT / "docs" / target.partition("#")[0]).is_file()
-        return f"[{label}]({target})" if held and not target.startswith("results/") else label
+        file = (source.parent / name).resolve()
+        if not file.is_relative_to(DOCS) or not (folder / file.relative_to(DOCS)).is_file():
+            return label
+        inner = name.removeprefix("docs/") if source.parent == ROOT else name
+        return f"{image}[{label}]({inner}{'#' if anchor else ''}{anchor})"
 
-    text = re.sub(r"(?<!!)\[([^\]\[]*)\]\(([^)\s]+)\)", rewritten, text)
-    return re.sub(r"!\[([^\]]*)\]\(docs/", r"![\1](", text)
+    text = re.sub(r"^```(\w+) .*$", r"```\1", text, flags=re.MULTILINE)  # words for the tests
+    return re.sub(r"(!?)\[([^\]\[]*)\]\(([^)\s]+)\)", rewritten, text)
 
 
 def command_reference() -> str:
