@@ -294,7 +294,7 @@ def test_the_command_line_draws_checks_and_starts_objects(library: ModelLibrary,
     assert "mug: good" in failed.output
     assert "millimetres" in failed.output
     started = run.invoke(command, ["new", str(folder(library) / "brick.glb")])
-    (folder(library) / "brick.yaml").write_text(started.output)
+    (folder(library) / "brick.yaml").write_text(started.stdout)
     assert run.invoke(command, ["check", "brick"]).exit_code == 0
 
 

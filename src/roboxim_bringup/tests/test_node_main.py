@@ -8,13 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
-import rclpy
 
 from roboxim_bringup.graph import NODES
 from roboxim_bringup.node_main import parse
 from roboxim_core.errors import ConfigError
-from roboxim_ros.runs import activate_transport, free_domain
-from roboxim_ros.testing import PATIENCE_S, eventually
+from roboxim_ros.runs import free_domain
+from roboxim_ros.testing import PATIENCE_S
 
 LAUNCH = Path(__file__).parents[1] / "launch" / "graph.launch.py"
 
@@ -56,21 +55,31 @@ def test_the_launch_file_starts_every_node() -> None:
     assert assigned["NODES"] == tuple(NODES)
 
 
+VISITOR = """
+import sys, time
+from roboxim_ros.runs import activate_transport
+activate_transport(open_network=True)
+import rclpy
+rclpy.init()
+node = rclpy.create_node("visitor")
+while ("tasks", "/cell") not in node.get_node_names_and_namespaces():
+    time.sleep(0.1)
+print("found")
+"""
+"""A program of its own: a process keeps the transport of its first node."""
+
+
 @pytest.mark.ros
 def test_a_plain_rclpy_program_finds_the_node() -> None:
     environment = {name: value for name, value in os.environ.items() if name != "ROBOXIM_TRANSPORT"}
     command = [sys.executable, "-m", "roboxim_bringup.node_main", "tasks", "--ros-args", "-r", "__ns:=/cell"]
-    context = rclpy.Context()
-    with (
-        free_domain() as domain,
-        subprocess.Popen(command, env=environment | {"ROS_DOMAIN_ID": str(domain)}) as process,
-    ):
-        activate_transport(open_network=True)
-        rclpy.init(context=context, domain_id=domain)
-        try:
-            node = rclpy.create_node("visitor", context=context)
-            eventually(lambda: ("tasks", "/cell") in node.get_node_names_and_namespaces(), "node /cell/tasks")
-        finally:
-            rclpy.shutdown(context=context)
-            process.terminate()
-        assert process.wait(PATIENCE_S) in (0, -signal.SIGTERM)  # the latter: it was still starting
+    with free_domain() as domain:
+        environment["ROS_DOMAIN_ID"] = str(domain)
+        with subprocess.Popen(command, env=environment) as process:
+            try:
+                visitor = [sys.executable, "-c", VISITOR]
+                found = subprocess.run(visitor, env=environment, capture_output=True, text=True, timeout=PATIENCE_S)
+            finally:
+                process.terminate()
+            assert found.stdout == "found\n", found.stderr
+            assert process.wait(PATIENCE_S) in (0, -signal.SIGTERM)  # the latter: it was still starting

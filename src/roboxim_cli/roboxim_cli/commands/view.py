@@ -27,7 +27,7 @@ def command(what: str, out: Path | None, seed: int, renderer: str) -> None:
 
     On a terminal, the studio opens instead if it is installed and --out is not given.
     """
-    from roboxim_runs.scenes.pictures import picture_of, save_sheet
+    from roboxim_runs.scenes.pictures import picture_of, require_picture_name, save_sheet
 
     if out is None and sys.stdin.isatty() and sys.stdout.isatty() and importlib.util.find_spec("viser"):
         from roboxim_cli.commands.studio import command as studio
@@ -35,6 +35,7 @@ def command(what: str, out: Path | None, seed: int, renderer: str) -> None:
         studio.main([what], prog_name="roboxim studio", standalone_mode=False)
         return
     file = out or Path("view.png")
+    require_picture_name(file)
     picture, text = picture_of(what, seed=seed, renderer=renderer)
     save_sheet([picture], file)
     click.echo(f"{text}\na picture: {file}")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -220,8 +221,15 @@ def episode_text(page: EpisodePage) -> str:
     lines += [f"  {one.name}: {one.outcome}{'. ' + one.text if one.text else ''}" for one in page.others]
     lines += [f"  {page.nobody}"] if page.nobody else []
     if page.log or page.log_note:
-        lines += ["", "what the policy printed:", *(f"  {line}" for line in (page.log or page.log_note).splitlines())]
+        lines += ["", "what the policy printed:", *(f"  {line}" for line in _folded(page.log or page.log_note))]
     return "\n".join([*lines, *(f"note: {note}" for note in page.notes), "", page.commands])
+
+
+def _folded(text: str) -> Iterator[str]:
+    """Yield lines, and equal ones that follow each other once, with their number."""
+    for line, equal in itertools.groupby(text.splitlines()):
+        count = sum(1 for _ in equal)
+        yield line if count == 1 else f"{line}  ({count} times)"
 
 
 def _ends(curve: Curve) -> tuple[float, float]:

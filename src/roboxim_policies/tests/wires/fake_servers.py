@@ -54,7 +54,10 @@ def websocket_fake(fake: Fake, serve_connection, port: int) -> Iterator[Fake]:
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.server import serve
 
+    connections = []
+
     def handler(connection) -> None:
+        connections.append(connection)
         with contextlib.suppress(ConnectionClosed, OSError):
             serve_connection(connection)
 
@@ -68,6 +71,8 @@ def websocket_fake(fake: Fake, serve_connection, port: int) -> Iterator[Fake]:
             fake.released.set()
             server.shutdown()
             thread.join()
+            for connection in connections:  # which websockets closes itself from 17 on
+                connection.close()
 
 
 def break_websocket(connection, behaviour: str) -> bool:

@@ -120,14 +120,23 @@ class ScenePainter:
         return replace(camera, width=width, height=self._height, segmentation=True)
 
 
+def require_picture_name(file: Path) -> None:
+    """Refuse a file whose name has no ending of a picture.
+
+    Raises:
+        ConfigError: Naming the endings.
+    """
+    if file.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
+        raise ConfigError(f"a picture is written as .png, .jpg or .webp, got {file}")
+
+
 def save_sheet(pictures: Sequence[Image.Image], file: Path) -> None:
     """Write pictures as one, in up to three columns.
 
     Raises:
         ConfigError: When the file's name has no ending of a picture.
     """
-    if file.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
-        raise ConfigError(f"a picture is written as .png, .jpg or .webp, got {file}")
+    require_picture_name(file)
     file.parent.mkdir(parents=True, exist_ok=True)
     stacked(pictures, columns=min(3, -(-len(pictures) // 2))).save(file)
 

@@ -62,6 +62,11 @@ def load_skill_file(spec: str) -> str:
     if name not in classes:
         raise ConfigError(f"{path} has no skill '{name}'; name a class of it, {one_of(classes, name)}")
     cls = classes[name]
+    if not isinstance(getattr(cls, "Parameters", None), type):
+        raise ConfigError(
+            f"skill '{name}' of {path} has no Parameters: add a frozen dataclass of its thresholds, with a "
+            "field for each, e.g. hold_s: float = 0.5"
+        )
     cls.name = cls.name or re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
     if cls.name not in set(SKILLS) - before:
         SKILLS.register(cls.name)(cls())
