@@ -16,7 +16,7 @@ from roboxim_cli.commands.data._dataset_corrupt import command as corrupt_comman
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError, SimError
-from roboxim_recorder.export.rlds import export_rlds
+from roboxim_recorder.export import export_bags
 from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.run_bags import list_bags
 from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
@@ -59,7 +59,7 @@ def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def exported(demonstrations: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Export them, one for validation."""
     out = tmp_path_factory.mktemp("exported") / "rlds"
-    export_rlds(demonstrations, out, ExportConfig(val_fraction=0.4, uneven=True))
+    export_bags("rlds", demonstrations, out, ExportConfig(val_fraction=0.4, uneven=True))
     return out
 
 

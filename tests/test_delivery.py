@@ -24,7 +24,8 @@ from roboxim_policies.reworded import RewordedPolicy
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.edited import copy_edited
-from roboxim_recorder.export.rlds import ExportConfig, export_rlds
+from roboxim_recorder.export import export_bags
+from roboxim_recorder.export.rlds import ExportConfig
 from roboxim_recorder.run_bags import list_bags
 from roboxim_runs.episodes.reenactment import Recorded, Reenactor
 from roboxim_runs.experiments.delivery.demands import demands_of
@@ -283,7 +284,7 @@ def test_a_held_out_episode_that_claims_a_seen_cell_is_refused_by_name(tmp_path)
 
     def proof(bags, counts):
         target = tmp_path / f"export-{bags.name}-{len(counts)}"
-        export_rlds(bags, target, ExportConfig(val_fraction=0.0, where=(f"cell={','.join(counts)}",)))
+        export_bags("rlds", bags, target, ExportConfig(val_fraction=0.0, where=(f"cell={','.join(counts)}",)))
         claim = DatasetClaim(name="leave_out", path=target, bags=bags, counts=counts, planted={})
         return claim, prove_training([claim], mix, [CELL], Reading(logs=tmp_path))
 

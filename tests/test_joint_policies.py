@@ -16,7 +16,7 @@ from roboxim_datasets.rlds import RldsReader
 from roboxim_policies import BasePolicy
 from roboxim_policies.builtin import ReplayPolicy
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.export.rlds import export_rlds
+from roboxim_recorder.export import export_bags
 from roboxim_recorder.replay import replay
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_sim.world import Snapshot
@@ -73,7 +73,7 @@ def test_the_experts_joint_motion_succeeds_and_is_recorded_replayed_and_exported
         assert replay(recorded, graph.sim).same
     joints = len(recorded.info.scene.robot.joint_positions or next(recorded.ticks()).state.robot.joint_names)
     assert recorded.info.semantics == replace(policy.semantics, rate_hz=10.0)
-    report = export_rlds(tmp_path, tmp_path / "rlds")
+    report = export_bags("rlds", tmp_path, tmp_path / "rlds")
     episode = next(RldsReader(report.path).episodes("train"))
     assert episode.action.shape == (result.steps, joints + 1)
     assert from_json(str(episode.metadata["action_semantics"]), ActionSemantics, source="") == recorded.info.semantics

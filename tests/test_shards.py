@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from roboxim_recorder.export.rlds import ExportConfig, export_rlds
+from roboxim_recorder.export import export_bags
+from roboxim_recorder.export.rlds import ExportConfig
 from roboxim_runs.datasets.rewriting import merge_datasets
 from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
@@ -26,9 +27,9 @@ def test_demonstrations_in_three_shards_are_those_of_one_run(tmp_path):
     assert repeatable_results(tmp_path / "out") == repeatable_results(tmp_path / "whole")
     assert generate(GenerationConfig(out=tmp_path / "out", episodes=5, **SMALL)).summary.endswith("nothing was run")
 
-    whole = export_rlds(tmp_path / "out", tmp_path / "rlds").path
+    whole = export_bags("rlds", tmp_path / "out", tmp_path / "rlds").path
     parts = [
-        export_rlds(tmp_path / "out", tmp_path / f"rlds-{number}", ExportConfig(shard=f"{number}/2")).path
+        export_bags("rlds", tmp_path / "out", tmp_path / f"rlds-{number}", ExportConfig(shard=f"{number}/2")).path
         for number in (1, 2)
     ]
     merged = merge_datasets(parts, tmp_path / "rlds-merged").path

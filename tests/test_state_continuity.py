@@ -12,7 +12,8 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.proprioception import STATE_NAMES, Proprioception
 from roboxim_datasets.rlds import RldsReader
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.export.rlds import ExportConfig, export_rlds
+from roboxim_recorder.export import export_bags
+from roboxim_recorder.export.rlds import ExportConfig
 from roboxim_runs.episodes.task_choice import task_text
 
 TASKS = ("rotate", "turn_upright", "put_into", "open_drawer", "pick_cube")
@@ -37,7 +38,7 @@ def run(tmp_path_factory):
 
 @pytest.mark.slow
 def test_no_component_jumps(run, tmp_path):
-    export_rlds(run, tmp_path, ExportConfig(val_fraction=0.0, keep_recovered=True))
+    export_bags("rlds", run, tmp_path, ExportConfig(val_fraction=0.0, keep_recovered=True))
     episodes = list(RldsReader(tmp_path).episodes("train"))
     assert len(episodes) == len(TASKS)
     robot, limits = ModelLibrary().robot("panda"), ActionSemantics()

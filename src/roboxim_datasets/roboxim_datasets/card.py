@@ -13,6 +13,7 @@ from roboxim_core.config import to_plain
 from roboxim_datasets.account import Account, lines, to_json
 from roboxim_datasets.dataset import EXPORT_FILE, Dataset
 from roboxim_datasets.files import reading
+from roboxim_datasets.statistics import dead_components
 from roboxim_datasets.view import contact_sheet, encoded
 
 CARD_FILE = "README.md"
@@ -20,8 +21,6 @@ PICTURE_FILE = "preview.jpg"
 LISTED = 20
 """Further instructions are only counted."""
 STATISTICS = ("mean", "std", "min", "q01", "q99", "max")
-DEAD = 1e-5
-"""A component whose standard deviation is below this [m, rad or opening] counts as dead."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,15 +138,15 @@ def _rows(dataset: Dataset, counts: Counts) -> dict[str, str]:
         "signals": ", ".join(features.signals) or "none",
         "skills": _listed(counts.skills) or "not stated",
         "tasks": f"{len(counts.instructions)}: " + _listed(counts.instructions, 5),
-        "dead": ", ".join(dead_components(dataset)) or "none",
+        "dead": ", ".join(dead_action_components(dataset)) or "none",
         "made by": _maker(dataset),
     }
 
 
-def dead_components(dataset: Dataset) -> tuple[str, ...]:
+def dead_action_components(dataset: Dataset) -> tuple[str, ...]:
     """Return the action's components that (nearly) never change, as far as the dataset has statistics."""
     deviations = dataset.summaries().get("action", {}).get("std", ())
-    return tuple(n for n, std in zip(dataset.features.action, deviations, strict=False) if std < DEAD)
+    return dead_components(dataset.features.action, deviations)
 
 
 def _unsaid(dataset: Dataset) -> str:
@@ -292,7 +291,7 @@ def _statistics(dataset: Dataset) -> str:
         if not values or vector not in names:
             continue
         columns = [name for name in STATISTICS if name in values]
-        dead = dead_components(dataset) if vector == "action" else ()
+        dead = dead_action_components(dataset) if vector == "action" else ()
         rows = [
             (f"`{part}`" + (" (dead)" if part in dead else ""), *(f"{values[name][i]:.5g}" for name in columns))
             for i, part in enumerate(names[vector])

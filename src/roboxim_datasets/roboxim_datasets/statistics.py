@@ -30,7 +30,7 @@ _LEVELS = 256
 
 def dead_components(names: Sequence[str], deviations: Sequence[float]) -> tuple[str, ...]:
     """Return the names of the components that (nearly) never change; a policy cannot learn them."""
-    return tuple(name for name, deviation in zip(names, deviations, strict=True) if deviation < DEAD)
+    return tuple(name for name, deviation in zip(names, deviations, strict=False) if deviation < DEAD)
 
 
 def summary_of(values: npt.ArrayLike, quantiles: Mapping[str, float] = QUANTILES) -> Summary:

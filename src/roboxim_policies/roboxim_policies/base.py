@@ -215,7 +215,6 @@ def find_policy(spec: str) -> Callable[..., Policy]:
         PolicyError: When its module raises; the message says where.
     """
     # The shipped policies register themselves on import.
-    importlib.import_module("roboxim_policies.builtin")
     return _load_class(spec) if ":" in spec else POLICIES[spec]
 
 

@@ -11,8 +11,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-import roboxim_policies.remote  # noqa: F401 - registers the remote policies
-import roboxim_policies.reworded  # noqa: F401 - registers the policy `reworded`
 from roboxim_core.actions import (
     ACTION_SIZE,
     ANY_RATE,

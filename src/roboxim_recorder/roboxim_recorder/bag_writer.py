@@ -10,9 +10,8 @@ import contextlib
 import errno
 import shutil
 from collections.abc import Iterator, Mapping
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
-from textwrap import indent
 from typing import Any
 
 import yaml
@@ -37,7 +36,6 @@ REPAIRED_KEY = "repaired"
 """Key of the metadata record of a repaired bag, with the value ``true``."""
 RECEIVED_KEY = "received"
 """Key of the metadata record, with the instructions that the policy was given, as a JSON list; left out: unknown."""
-_TOPICS = "  topics_with_message_count:"
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 
@@ -62,7 +60,7 @@ _Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 @cache
 def _qos_text(topic: str) -> str:
-    return _yaml([_qos(topic)])
+    return metadata_text([_qos(topic)])
 
 
 @contextlib.contextmanager
@@ -153,40 +151,10 @@ def mcap_name(name: str) -> str:
     return f"{name}_0.mcap"
 
 
-def metadata_text(description: Mapping[str, Any]) -> str:
-    """Return the text of a ``metadata.yaml``, from a `bag_description`."""
-    (key, bag) = next(iter(description.items()))
-    listed = bag["topics_with_message_count"]
-    text = _yaml({key: {**bag, "topics_with_message_count": []}})
-    if not listed:
-        return text
-    topics = ""
-    for one in listed:
-        told = one["topic_metadata"]
-        topics += _topic_text(told["name"], told["type"], told["type_description_hash"])
-        topics += f"    message_count: {one['message_count']}\n"
-    return text.replace(f"{_TOPICS} []\n", f"{_TOPICS}\n{topics}", 1)
-
-
-def _yaml(content: Any) -> str:
+def metadata_text(content: Any) -> str:
+    """Return the text of ``metadata.yaml``, or of a part of it."""
     text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=200)
     return text
-
-
-@lru_cache(maxsize=1024)
-def _topic_text(topic: str, kind: str, type_hash: str) -> str:
-    """Return the description of a topic as it stands in ``metadata.yaml``; made once, since bags share their topics."""
-    return indent(_yaml([{"topic_metadata": _topic_metadata(topic, kind, type_hash)}]), "  ")
-
-
-def _topic_metadata(topic: str, kind: str, type_hash: str) -> dict[str, Any]:
-    return {
-        "name": topic,
-        "type": kind,
-        "serialization_format": "cdr",
-        "offered_qos_profiles": [_qos(topic)],
-        "type_description_hash": type_hash,
-    }
 
 
 def bag_description(
@@ -204,7 +172,16 @@ def bag_description(
     start = {"nanoseconds_since_epoch": span_ns[0]}
     duration = {"nanoseconds": span_ns[1] - span_ns[0]}
     listed = [
-        {"topic_metadata": _topic_metadata(topic, kind, type_hash), "message_count": count}
+        {
+            "topic_metadata": {
+                "name": topic,
+                "type": kind,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": [_qos(topic)],
+                "type_description_hash": type_hash,
+            },
+            "message_count": count,
+        }
         for topic, (kind, type_hash, count) in topics.items()
     ]
     file = {"path": file_name, "starting_time": dict(start), "duration": dict(duration), "message_count": total}

@@ -15,9 +15,10 @@ from roboxim_core.errors import InvalidRequestError, RecorderError
 from roboxim_core.policies import Observation
 from roboxim_core.proprioception import Proprioception
 from roboxim_datasets.formats import open_dataset
+from roboxim_recorder.export import export_bags
 from roboxim_recorder.export.content import content_of
 from roboxim_recorder.export.episodes import exported_episode
-from roboxim_recorder.export.rlds import ExportConfig, export_rlds
+from roboxim_recorder.export.rlds import ExportConfig
 from roboxim_recorder.export.selection import Selection, choose
 from roboxim_recorder.run_bags import run_bags
 
@@ -135,7 +136,9 @@ def test_the_convention_beside_a_dataset_asks_a_policy_for_what_the_dataset_hold
         text += "prompt: {lower: true}\n" if "prompt:" not in text else ""
         convention = str(tmp_path / "here.yaml")
         (tmp_path / "here.yaml").write_text(text)
-    report = export_rlds(run, tmp_path / "out", ExportConfig(convention=convention, encoding="png", val_fraction=0.0))
+    report = export_bags(
+        "rlds", run, tmp_path / "out", ExportConfig(convention=convention, encoding="png", val_fraction=0.0)
+    )
     written = load_convention(str(report.path / "convention.yaml"))
     assert written.rate_hz == 10
     episode = open_dataset(report.path).episode(0)

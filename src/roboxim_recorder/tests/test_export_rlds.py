@@ -13,7 +13,8 @@ from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import from_json
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
 from roboxim_datasets.rlds import RldsReader
-from roboxim_recorder.export.rlds import ExportConfig, export_rlds
+from roboxim_recorder.export import export_bags
+from roboxim_recorder.export.rlds import ExportConfig
 from roboxim_recorder.summary import bag_info, dataset_summary
 
 PNG = ExportConfig(encoding="png")
@@ -30,7 +31,7 @@ def run(tmp_path_factory, fake):
 
 def test_the_export_is_what_the_bags_hold(run, tmp_path, fake):
     progress = []
-    report = export_rlds(run, tmp_path / "out", PNG, progress=lambda *at: progress.append(at))
+    report = export_bags("rlds", run, tmp_path / "out", PNG, progress=lambda *at: progress.append(at))
     assert report.path == tmp_path / "out" / "roboxim" / "1.0.0"
     assert (report.splits, report.steps, report.left_out) == ({"train": 3, "val": 1}, 20, {"not_lifted": 1})
     assert progress == [(1, 4), (2, 4), (3, 4), (4, 4)]
@@ -65,14 +66,14 @@ def test_the_export_is_what_the_bags_hold(run, tmp_path, fake):
 def test_episodes_that_took_another_try_are_left_out_unless_asked_for(tmp_path, fake):
     fake(index=0).record(tmp_path / "run")
     fake(index=1).record(tmp_path / "run", recovered=True)
-    report = export_rlds(tmp_path / "run", tmp_path / "out", PNG)
+    report = export_bags("rlds", tmp_path / "run", tmp_path / "out", PNG)
     assert (report.splits, report.left_out) == ({"train": 1}, {"recovered": 1})
-    report = export_rlds(tmp_path / "run", tmp_path / "all", replace(PNG, keep_recovered=True))
+    report = export_bags("rlds", tmp_path / "run", tmp_path / "all", replace(PNG, keep_recovered=True))
     assert (sum(report.splits.values()), report.left_out) == (2, {})
 
 
 def test_dead_dimensions_and_statistics(run, tmp_path):
-    report = export_rlds(run, tmp_path / "out", PNG)
+    report = export_bags("rlds", run, tmp_path / "out", PNG)
     assert report.dead_dimensions == ("droll", "dpitch")
     statistics = json.loads((report.path / "dataset_statistics.json").read_text())
     actions = np.concatenate([e.action for e in RldsReader(report.path).episodes("train")])
@@ -82,7 +83,7 @@ def test_dead_dimensions_and_statistics(run, tmp_path):
 
 
 def test_two_exports_are_the_same_bytes(run, tmp_path):
-    first, second = (export_rlds(run, tmp_path / name).path for name in "ab")
+    first, second = (export_bags("rlds", run, tmp_path / name).path for name in "ab")
     names = sorted(path.name for path in first.iterdir())
     assert "roboxim-train.tfrecord-00000-of-00001" in names
     assert [(first / name).read_bytes() for name in names] == [(second / name).read_bytes() for name in names]
@@ -96,12 +97,12 @@ def test_an_interrupted_export_is_not_taken_for_whole_and_goes_on(run, tmp_path,
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        export_rlds(run, tmp_path / "out", progress=interrupt)
+        export_bags("rlds", run, tmp_path / "out", progress=interrupt)
     with pytest.raises(RecorderError, match="0 datasets"):
         RldsReader(tmp_path / "out")
-    resumed = export_rlds(run, tmp_path / "out")
+    resumed = export_bags("rlds", run, tmp_path / "out")
     assert resumed.resumed == 1  # the second was still being encoded
-    whole = export_rlds(run, tmp_path / "other")
+    whole = export_bags("rlds", run, tmp_path / "other")
     for path in whole.path.iterdir():
         assert (resumed.path / path.name).read_bytes() == path.read_bytes()
 
@@ -118,32 +119,32 @@ def small_shards():
 
 def test_an_existing_export_is_refused_kept_or_replaced(run, tmp_path):
     out = tmp_path / "out"
-    first = export_rlds(run, out)
+    first = export_bags("rlds", run, out)
     with pytest.raises(RecorderError, match="exists") as caught:
-        export_rlds(run, out)
+        export_bags("rlds", run, out)
     assert caught.value.code == ErrorCode.EXPORT_REFUSED
     before = (first.path / "dataset_info.json").stat().st_mtime_ns
-    assert export_rlds(run, out, if_exists="keep").splits == first.splits
+    assert export_bags("rlds", run, out, if_exists="keep").splits == first.splits
     assert (first.path / "dataset_info.json").stat().st_mtime_ns == before
     everything = ExportConfig(only_successful=False, val_fraction=0.0)
     with pytest.raises(RecorderError, match="exists"):
-        export_rlds(run, out, everything, if_exists="keep")
-    assert export_rlds(run, out, everything, if_exists="overwrite").splits == {"train": 5}
+        export_bags("rlds", run, out, everything, if_exists="keep")
+    assert export_bags("rlds", run, out, everything, if_exists="overwrite").splits == {"train": 5}
 
 
 def test_images_are_resized_and_cameras_chosen(run, tmp_path):
     config = ExportConfig(cameras={"wrist": "hand"}, image_height=8, image_width=12)
-    reader = RldsReader(export_rlds(run, tmp_path / "out", config).path)
+    reader = RldsReader(export_bags("rlds", run, tmp_path / "out", config).path)
     assert next(reader.episodes("train")).frames("hand").shape == (5, 8, 12, 3)
     with pytest.raises(InvalidRequestError, match="no camera 'wirst'.*did you mean 'wrist'"):
-        export_rlds(run, tmp_path / "out", ExportConfig(cameras={"wirst": "image"}))
+        export_bags("rlds", run, tmp_path / "out", ExportConfig(cameras={"wirst": "image"}))
 
 
 def test_bags_of_several_robots_are_refused_and_named(tmp_path, fake):
     fake(index=0).record(tmp_path / "run")
     fake(index=1, robot="ur5").record(tmp_path / "run")
     with pytest.raises(RecorderError, match=r"1 of panda .*demo-0-00000-0.*, 1 of ur5 .*demo-0-00001-0") as caught:
-        export_rlds(tmp_path / "run", tmp_path / "out")
+        export_bags("rlds", tmp_path / "run", tmp_path / "out")
     assert caught.value.code == ErrorCode.EXPORT_REFUSED
     assert dataset_summary(tmp_path / "run").robots == {"panda": 1, "ur5": 1}
     assert "robot         ur5" in bag_info(tmp_path / "run" / "episodes" / "demo-0-00001-0")
@@ -152,14 +153,14 @@ def test_bags_of_several_robots_are_refused_and_named(tmp_path, fake):
 def test_nothing_to_export_is_refused(tmp_path, fake):
     fake(outcome="failure").record(tmp_path)
     with pytest.raises(RecorderError, match="none of the 1 bags.*not_lifted"):
-        export_rlds(tmp_path, tmp_path / "out")
+        export_bags("rlds", tmp_path, tmp_path / "out")
 
 
 def test_a_damaged_bag_is_named(tmp_path, fake):
     file = next(fake().record(tmp_path).glob("*.mcap"))
     file.write_bytes(file.read_bytes()[:-40])
     with pytest.raises(RecorderError, match="demo-0-00000-0 is damaged"):
-        export_rlds(tmp_path, tmp_path / "out")
+        export_bags("rlds", tmp_path, tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -173,7 +174,7 @@ def test_bad_configurations_are_refused(options):
 def test_processes_write_the_same_bytes_and_a_dead_one_costs_nothing(run, tmp_path, monkeypatch):
     monkeypatch.setattr("roboxim_datasets.rlds.dataset.RldsWriter", small_shards())
     config = ExportConfig(actions="end_effector_absolute,rotation_6d", image_width=32, image_height=24)
-    alone = export_rlds(run, tmp_path / "alone", config).path
+    alone = export_bags("rlds", run, tmp_path / "alone", config).path
     monkeypatch.setattr("roboxim_recorder.export.processes.AHEAD", 0)  # so that the second episode comes too late
 
     def kill(done, total):
@@ -182,7 +183,7 @@ def test_processes_write_the_same_bytes_and_a_dead_one_costs_nothing(run, tmp_pa
                 process.kill()
 
     with pytest.raises(RecorderError, match="a process of the export ended unexpectedly; run the same command again"):
-        export_rlds(run, tmp_path / "together", config, workers=2, progress=kill)
-    report = export_rlds(run, tmp_path / "together", config, workers=2)
+        export_bags("rlds", run, tmp_path / "together", config, workers=2, progress=kill)
+    report = export_bags("rlds", run, tmp_path / "together", config, workers=2)
     assert report.resumed == 1
     assert {p.name: p.read_bytes() for p in report.path.iterdir()} == {p.name: p.read_bytes() for p in alone.iterdir()}

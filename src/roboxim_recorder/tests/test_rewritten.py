@@ -11,7 +11,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_recorder.bag import BagReader, NotAnEpisodeError, mcap_file
-from roboxim_recorder.export.rlds import export_rlds
+from roboxim_recorder.export import export_bags
 from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.integrity.repair import repair_bag
 from roboxim_recorder.summary import bag_info, dataset_summary
@@ -81,7 +81,7 @@ def test_a_bag_written_again_is_whole_for_every_reader(run, tmp_path, way):
     assert "written again by somebody's tool" in report.notes
     assert "somebody's tool" in bag_info(bag)
     assert repair_bag(bag, tmp_path / "saved").state == "whole"
-    assert export_rlds(run, tmp_path / "rlds").splits == {"train": 1}
+    assert export_bags("rlds", run, tmp_path / "rlds").splits == {"train": 1}
     assert len(list(BagReader(bag).ticks())) == report.ticks == 8
 
 
@@ -133,11 +133,11 @@ def test_filtered_topics_are_named_and_only_those_that_readers_need_are_missed(r
     write_again(bag, without=("/camera/wrist/image",))
     assert "topic /camera/wrist/image is missing" in check_bag(bag).problems[0]
     with pytest.raises(RecorderError, match=r"lacks the images of /camera/wrist/image.*with images: workspace"):
-        export_rlds(run, tmp_path / "rlds")
+        export_bags("rlds", run, tmp_path / "rlds")
 
     write_again(bag, without=("/sim/state",))
     with pytest.raises(RecorderError, match="no topic /sim/state, which every reader needs: it was filtered out"):
-        export_rlds(run, tmp_path / "rlds")
+        export_bags("rlds", run, tmp_path / "rlds")
     assert "/sim/state" in repair_bag(bag, tmp_path / "saved").text
 
 

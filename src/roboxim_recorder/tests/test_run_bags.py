@@ -9,7 +9,8 @@ import pytest
 
 from roboxim_core.config import to_json
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
-from roboxim_recorder.export.rlds import ExportConfig, export_rlds
+from roboxim_recorder.export import export_bags
+from roboxim_recorder.export.rlds import ExportConfig
 from roboxim_recorder.run_bags import read_results, run_bags
 from roboxim_recorder.summary import dataset_summary
 
@@ -37,7 +38,7 @@ def test_a_whole_run_lacks_nothing(run):
     assert found.paths == tuple(bag(run, index) for index in range(3))
     assert (found.missing, found.unexpected) == ((), ())
     assert run_bags(run / "episodes") == found
-    assert export_rlds(run, run.parent / "out").splits == {"train": 2, "val": 1}
+    assert export_bags("rlds", run, run.parent / "out").splits == {"train": 2, "val": 1}
 
 
 def test_missing_bags_are_named_and_refused_unless_skipped(run):
@@ -46,9 +47,9 @@ def test_missing_bags_are_named_and_refused_unless_skipped(run):
     shutil.rmtree(run / "set_apart")
     assert run_bags(run).missing == ("episodes/demo-0-00001-0", "episodes/demo-0-00002-0", "set_apart/demo-0-00003-0")
     with pytest.raises(RecorderError, match="3 bags are missing.*episodes/demo-0-00001-0.*--skip-missing") as caught:
-        export_rlds(run, run.parent / "out")
+        export_bags("rlds", run, run.parent / "out")
     assert caught.value.code == ErrorCode.EXPORT_REFUSED
-    report = export_rlds(run, run.parent / "out", ExportConfig(skip_missing=True))
+    report = export_bags("rlds", run, run.parent / "out", ExportConfig(skip_missing=True))
     assert report.splits == {"train": 1}
     assert report.left_out == {"no_bag": 3}
     assert len(report.missing) == 3
@@ -57,7 +58,7 @@ def test_missing_bags_are_named_and_refused_unless_skipped(run):
 def test_a_run_that_lost_every_bag_says_so(run):
     shutil.rmtree(run / "episodes")
     with pytest.raises(RecorderError, match="3 bags are missing"):
-        export_rlds(run, run.parent / "out")
+        export_bags("rlds", run, run.parent / "out")
 
 
 def test_a_bag_without_a_result_is_named_and_not_exported(run, fake):
@@ -65,7 +66,7 @@ def test_a_bag_without_a_result_is_named_and_not_exported(run, fake):
     found = run_bags(run)
     assert found.unexpected == (bag(run, 7),)
     assert found.unexpected_text == "1 bag has no line in results.jsonl: demo-0-00007-0"
-    report = export_rlds(run, run.parent / "out")
+    report = export_bags("rlds", run, run.parent / "out")
     assert (sum(report.splits.values()), report.left_out, report.unexpected) == (3, {"no_result": 1}, found.unexpected)
 
 
@@ -75,7 +76,7 @@ def test_a_bag_that_holds_another_episode_is_refused(run, fake):
     second.rename(first)
     (run / "aside").rename(second)
     with pytest.raises(RecorderError, match="demo-0-00000-0 holds another episode") as caught:
-        export_rlds(run, run.parent / "out")
+        export_bags("rlds", run, run.parent / "out")
     assert caught.value.code == ErrorCode.BAG_DAMAGED
 
 
@@ -83,7 +84,7 @@ def test_a_bag_that_ended_otherwise_than_its_result_says_is_refused(run, fake):
     shutil.rmtree(bag(run, 0))
     fake(index=0, steps=7).record(run)
     with pytest.raises(RecorderError, match="demo-0-00000-0 holds another episode"):
-        export_rlds(run, run.parent / "out")
+        export_bags("rlds", run, run.parent / "out")
 
 
 def test_a_torn_last_line_is_left_out_and_a_damaged_one_is_named(run):

@@ -125,9 +125,10 @@ def test_a_convention_excludes_the_options_that_it_says():
 
 
 def test_the_dataset_says_what_was_chosen(run, tmp_path):
-    from roboxim_recorder.export.rlds import ExportConfig, export_rlds
+    from roboxim_recorder.export import export_bags
+    from roboxim_recorder.export.rlds import ExportConfig
 
-    report = export_rlds([run], tmp_path, ExportConfig(per_cell=3, val_fraction=0.0))
+    report = export_bags("rlds", [run], tmp_path, ExportConfig(per_cell=3, val_fraction=0.0))
     facts = json.loads((report.path / "export.json").read_text())
     assert facts["cells"] == {"train": {"A": 3, "B": 3}} == report.cells
     assert facts["runs"] == [run.name]

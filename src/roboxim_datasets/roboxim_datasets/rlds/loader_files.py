@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.errors import ConfigError
-from roboxim_core.plain_data.documents import read_json_object
 from roboxim_datasets.rlds.format import RldsFeatures
 from roboxim_datasets.rlds.tfrecord import decode_example, read_records
-from roboxim_datasets.statistics import VectorStatistics, dead_components
+from roboxim_datasets.statistics import VectorStatistics
 
 STATISTICS_FILE = "dataset_statistics.json"
 
@@ -43,24 +41,6 @@ def statistics_of(shards: Iterable[Path], features: RldsFeatures) -> dict[str, A
 def _summary(statistics: VectorStatistics) -> dict[str, list[float]]:
     found = statistics.summary({"q01": 0.01, "q99": 0.99})
     return {name: found[name].tolist() for name in ("mean", "std", "min", "max", "q01", "q99")}
-
-
-def action_statistics(path: Path) -> dict[str, list[float]]:
-    """Return the statistics of an exported dataset's actions by name (``mean``, ``std``, ``q01`` ...).
-
-    Raises:
-        ConfigError: When the file cannot be read or has none.
-    """
-    file = path / STATISTICS_FILE
-    statistics = read_json_object(file).get("action")
-    if not isinstance(statistics, dict) or not isinstance(statistics.get("std"), list):
-        raise ConfigError(f"{file} has no statistics of 'action'; write the dataset by 'roboxim dataset convert'")
-    return statistics
-
-
-def dead_dimensions(statistics: dict[str, list[float]], names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the action components that (nearly) never change."""
-    return dead_components(names, statistics["std"])
 
 
 def loader_files(name: str, features: RldsFeatures, statistics: dict[str, Any]) -> dict[str, str]:

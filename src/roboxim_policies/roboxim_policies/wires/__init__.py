@@ -6,13 +6,9 @@ server's raw actions. `roboxim_policies.remote` joins a wire and a convention to
 
 from __future__ import annotations
 
-import importlib
-
 from roboxim_core.errors import ConfigError
+from roboxim_policies.wires import groot, openpi, openvla, vla_eval, xvla  # importing a module registers its wire
 from roboxim_policies.wires.base import REFUSED, WIRES, Answer, Metadata, Request, Rows, Wire
-
-for _module in ("openpi", "vla_eval", "openvla", "groot", "xvla"):
-    importlib.import_module(f"{__name__}.{_module}")
 
 
 def find_wire(name: str) -> type[Wire]:
@@ -30,4 +26,18 @@ def find_wire(name: str) -> type[Wire]:
     return WIRES[name]
 
 
-__all__ = ["REFUSED", "WIRES", "Answer", "Metadata", "Request", "Rows", "Wire", "find_wire"]
+__all__ = [
+    "REFUSED",
+    "WIRES",
+    "Answer",
+    "Metadata",
+    "Request",
+    "Rows",
+    "Wire",
+    "find_wire",
+    "groot",
+    "openpi",
+    "openvla",
+    "vla_eval",
+    "xvla",
+]

@@ -7,7 +7,7 @@ bytes. Nothing is unpickled: object arrays, structured types and complex numbers
 
 from __future__ import annotations
 
-import ast
+import io
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.limits import echo
-from roboxim_policies.wires.errors import unreadable
+from roboxim_policies.wires.errors import invalid, unreadable
 
 MESSAGE_BYTES = 64 * 2**20
 """Largest message that is sent or received [bytes]: dozens of large pictures."""
@@ -27,7 +27,6 @@ AXES = 8
 NPY_HEADER_BYTES = 4096
 """Largest header of an array in the ``.npy`` format."""
 _DTYPE = re.compile(r"[<>|=]?(?:b1|[iu][1248]|f[248])")
-_NPY_MAGIC = b"\x93NUMPY"
 
 
 def checked_dtype(name: Any) -> np.dtype[Any]:
@@ -90,28 +89,21 @@ def array_from_npy(data: Any) -> npt.NDArray[Any]:
     Raises:
         PolicyError: When the format is damaged, or the header does not fit the data.
     """
-    if not isinstance(data, bytes) or len(data) < 12 or data[:6] != _NPY_MAGIC or data[6] not in (1, 2, 3):
-        raise unreadable("an array in the .npy format must begin with its magic and a version from 1 to 3")
-    width = 2 if data[6] == 1 else 4
-    length = int.from_bytes(data[8 : 8 + width], "little")
-    start = 8 + width
-    if length > NPY_HEADER_BYTES or start + length > len(data):
-        raise unreadable(f"a .npy header has {length} bytes, at most {NPY_HEADER_BYTES} within the data are allowed")
     try:
-        header = ast.literal_eval(data[start : start + length].decode("latin-1").strip())
-        names = (header["descr"], header["shape"], header["fortran_order"])
-    except (ValueError, SyntaxError, TypeError, KeyError, MemoryError, RecursionError):
-        raise unreadable("a .npy header must be a dictionary with descr, shape and fortran_order") from None
-    descr, shape, fortran = names
-    return array_from(data[start + length :], descr, shape, fortran=bool(fortran))
+        stream = io.BytesIO(data)
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, kind = read(stream, max_header_size=NPY_HEADER_BYTES)
+    except Exception as error:  # numpy parses what the server sent and may raise anything
+        raise unreadable(f"a .npy header cannot be read: {str(error)[:200]}") from None
+    return array_from(data[stream.tell() :], kind.str, shape, fortran=fortran)
 
 
 def npy_bytes(array: npt.NDArray[Any]) -> bytes:
     """Return an array in the ``.npy`` format, version 1."""
-    array = np.ascontiguousarray(array)
-    header = f"{{'descr': {array.dtype.str!r}, 'fortran_order': False, 'shape': {array.shape!r}, }}"
-    header += " " * (-(10 + len(header) + 1) % 64) + "\n"
-    return b"".join((_NPY_MAGIC, b"\x01\x00", len(header).to_bytes(2, "little"), header.encode(), array.tobytes()))
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, np.ascontiguousarray(array), version=(1, 0), allow_pickle=False)
+    return stream.getvalue()
 
 
 def rows_of(value: Any, what: str) -> npt.NDArray[np.float64]:
@@ -127,8 +119,6 @@ def rows_of(value: Any, what: str) -> npt.NDArray[np.float64]:
     Raises:
         PolicyError: With code ``INVALID_ACTION`` when they are not finite numbers of such a shape.
     """
-    from roboxim_policies.wires.errors import invalid
-
     if not isinstance(value, np.ndarray):
         value = _array_of_lists(value, what)
     if value.dtype.kind not in "iuf":
@@ -147,8 +137,6 @@ def rows_of(value: Any, what: str) -> npt.NDArray[np.float64]:
 
 
 def _array_of_lists(value: Any, what: str) -> npt.NDArray[Any]:
-    from roboxim_policies.wires.errors import invalid
-
     try:
         if not isinstance(value, Sequence) or isinstance(value, str | bytes):
             raise ValueError(f"it is {type(value).__name__}")

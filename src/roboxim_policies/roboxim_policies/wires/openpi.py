@@ -30,13 +30,12 @@ from roboxim_policies.wires.base import (
     Answer,
     Metadata,
     Request,
-    Wire,
     plain_metadata,
 )
 from roboxim_policies.wires.errors import Deadline, fault, invalid, quoted, unreadable
 from roboxim_policies.wires.packing import pack, unpack
 from roboxim_policies.wires.parts import parts_of
-from roboxim_policies.wires.websocket import WebSocket
+from roboxim_policies.wires.websocket import WebSocket, WebSocketWire
 
 OWN_SERVER = "roboxim"
 """Key of the metadata by which RoboXim's own server is known."""
@@ -96,10 +95,9 @@ def dialect_of(metadata: Metadata) -> Dialect:
 
 
 @WIRES.register("openpi")
-class OpenPiWire(Wire):
+class OpenPiWire(WebSocketWire):
     """A session with a server of openpi, RoboArena or StarVLA, or with one of RoboXim's own."""
 
-    schemes: ClassVar[tuple[str, ...]] = ("ws", "wss")
     takes_key: ClassVar[bool] = True
 
     def __init__(
@@ -133,7 +131,6 @@ class OpenPiWire(Wire):
         self._sampling = {"do_sample": do_sample, "use_ddim": use_ddim, "num_ddim_steps": num_ddim_steps}
         self._dialect = Dialect.OPENPI
         self._session = ""
-        self._socket: WebSocket | None = None
 
     def _open(self, deadline: Deadline) -> Metadata:
         headers = {"Authorization": f"Api-Key {self.key}"} if self.key else {}
@@ -153,9 +150,6 @@ class OpenPiWire(Wire):
                 f"{self.server} un-normalises with the statistics of one of its datasets; name it with unnorm_key, "
                 f"{one_of(keys, self._unnorm_key)}"
             )
-
-    def _alive(self) -> bool:
-        return self._socket is not None and self._socket.is_open
 
     def _begin(self, start: EpisodeStart, deadline: Deadline) -> None:
         connection = self._connection()
@@ -211,12 +205,3 @@ class OpenPiWire(Wire):
         if isinstance(message, str):
             raise fault(f"{self.server} reported an error instead of its {what}: {quoted(message)}")
         return decode(message)
-
-    def _connection(self) -> WebSocket:
-        assert self._socket is not None
-        return self._socket
-
-    def _shut(self) -> None:
-        if self._socket is not None:
-            self._socket.abort()
-        self._socket = None

@@ -13,7 +13,7 @@ from __future__ import annotations
 import io
 import time
 from collections.abc import Collection
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -28,13 +28,12 @@ from roboxim_policies.wires.base import (
     Answer,
     Metadata,
     Request,
-    Wire,
     plain_metadata,
 )
 from roboxim_policies.wires.errors import Deadline, fault, invalid, quoted, unreadable
 from roboxim_policies.wires.packing import pack, unpack
 from roboxim_policies.wires.parts import last_part, parts_of
-from roboxim_policies.wires.websocket import WebSocket
+from roboxim_policies.wires.websocket import WebSocket, WebSocketWire
 
 HARNESS_VERSION = "0.8.0"
 PROTOCOL_VERSION = 1
@@ -138,10 +137,8 @@ def observation(request: Request, prompt_key: str, *, leave_out: Collection[str]
 
 
 @WIRES.register("vla_eval")
-class VlaEvalWire(Wire):
+class VlaEvalWire(WebSocketWire):
     """A session with a model server of vla-eval."""
-
-    schemes: ClassVar[tuple[str, ...]] = ("ws", "wss")
 
     def __init__(
         self, url: str, *, timeout_s: float = TIMEOUT_S, reconnect_s: float = RECONNECT_S, key_env: str = "",
@@ -166,7 +163,6 @@ class VlaEvalWire(Wire):
             raise ConfigError(f"image_format must be 'raw' or 'png', got '{image_format}'")
         self._image_format = image_format
         self.ignored = tuple(str(ignore).split())
-        self._socket: WebSocket | None = None
         self._seq = 0
         self._began = 0
         self._steps: int | None = None
@@ -187,9 +183,6 @@ class VlaEvalWire(Wire):
         wanted = wanted if isinstance(wanted, dict) else {}
         self._leave_out = tuple(name for name in ("send_wrist_image", "send_state") if wanted.get(name) is False)
         return metadata
-
-    def _alive(self) -> bool:
-        return self._socket is not None and self._socket.is_open
 
     def _begin(self, start: EpisodeStart, deadline: Deadline) -> None:
         self._connection().require_silence()
@@ -232,12 +225,3 @@ class VlaEvalWire(Wire):
         if message.get("type") != kind:
             raise fault(f"{self.server} answered with '{echo(message.get('type'))}', expected '{kind}'")
         return payload
-
-    def _connection(self) -> WebSocket:
-        assert self._socket is not None
-        return self._socket
-
-    def _shut(self) -> None:
-        if self._socket is not None:
-            self._socket.abort()
-        self._socket = None

@@ -7,9 +7,10 @@ import socket
 import struct
 from collections.abc import Mapping
 from inspect import signature
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from roboxim_policies.wires.arrays import MESSAGE_BYTES
+from roboxim_policies.wires.base import Wire
 from roboxim_policies.wires.errors import GATEWAY, REDIRECTS, Deadline, died, fault, quoted, redirected
 
 if TYPE_CHECKING:
@@ -171,3 +172,22 @@ class WebSocket:
         if received is not None:
             return died(f"{self._server} closed the connection (code {received.code} {quoted(received.reason)})")
         return died(f"the connection to {self._server} was lost")
+
+
+class WebSocketWire(Wire):
+    """A session over a WebSocket."""
+
+    schemes: ClassVar[tuple[str, ...]] = ("ws", "wss")
+    _socket: WebSocket | None = None
+
+    def _alive(self) -> bool:
+        return self._socket is not None and self._socket.is_open
+
+    def _connection(self) -> WebSocket:
+        assert self._socket is not None
+        return self._socket
+
+    def _shut(self) -> None:
+        if self._socket is not None:
+            self._socket.abort()
+        self._socket = None

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
-from roboxim_datasets.hdf5 import Hdf5Dataset, Hdf5Options
-from roboxim_datasets.statistics import dead_components
-from roboxim_recorder.export.registry import EXPORTERS, DatasetContents, FormatExporter
+from roboxim_datasets.hdf5 import Hdf5Options
+from roboxim_recorder.export.registry import EXPORTERS, FormatExporter
 from roboxim_recorder.export.selection import Selection
 
 
@@ -22,9 +20,3 @@ class Hdf5Exporter(FormatExporter):
 
     format = "hdf5"
     config = Hdf5Config
-
-    def contents(self, path: Path) -> DatasetContents:
-        """Read the description and the statistics of a dataset."""
-        dataset = Hdf5Dataset(path)
-        dead = dead_components(dataset.features.action, dataset.statistics["actions"]["std"])
-        return DatasetContents(splits=dict(dataset.splits), dead_dimensions=dead)

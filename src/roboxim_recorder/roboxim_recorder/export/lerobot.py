@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
-from roboxim_datasets.lerobot import LeRobotDataset, LeRobotOptions
-from roboxim_datasets.statistics import dead_components
-from roboxim_recorder.export.registry import EXPORTERS, DatasetContents, FormatExporter
+from roboxim_datasets.lerobot import LeRobotOptions
+from roboxim_recorder.export.registry import EXPORTERS, FormatExporter
 from roboxim_recorder.export.selection import Selection
 
 
@@ -31,11 +29,3 @@ class LeRobotExporter(FormatExporter):
 
     format = "lerobot"
     config = LeRobotConfig
-
-    def contents(self, path: Path) -> DatasetContents:
-        """Read the description and the statistics of a dataset."""
-        dataset = LeRobotDataset(path)
-        deviations = dataset.statistics[dataset.content.names.action]["std"]
-        return DatasetContents(
-            splits=dict(dataset.splits), dead_dimensions=dead_components(dataset.features.action, deviations)
-        )

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from roboxim_core.registry import Registry
+from roboxim_datasets.card import dead_action_components
 from roboxim_datasets.dataset import DatasetWriter, Description
 from roboxim_datasets.formats import FORMATS
 from roboxim_recorder.export.selection import Selection
@@ -73,7 +74,8 @@ class FormatExporter:
 
     def contents(self, path: Path) -> DatasetContents:
         """Read the number of episodes of a dataset."""
-        return DatasetContents(splits=dict(FORMATS[self.format]().open(path).splits))
+        dataset = FORMATS[self.format]().open(path)
+        return DatasetContents(splits=dict(dataset.splits), dead_dimensions=dead_action_components(dataset))
 
 
 EXPORTERS: Registry[type[Exporter]] = Registry("exporter")

@@ -20,6 +20,7 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
+from roboxim_core.plain_data.differences import differences
 from roboxim_recorder.bag_writer import LIBRARY, METADATA_FILE, metadata_text
 
 _FOOTER = struct.Struct("<BQQQI")
@@ -99,27 +100,7 @@ def metadata_problems(folder: Path, expected: Mapping[str, Any]) -> Iterator[str
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
         yield f"its {METADATA_FILE} is not readable YAML ({str(error).splitlines()[0] if str(error) else 'too deep'})"
         return
-    yield from (f"its {METADATA_FILE}: {what}" for what in _differences("", found, expected))
-
-
-def _differences(where: str, found: Any, expected: Any) -> Iterator[str]:
-    """Yield where two trees of plain data differ."""
-    if isinstance(found, dict) and isinstance(expected, dict):
-        for key in expected.keys() | found.keys():
-            at = f"{where}.{key}" if where else str(key)
-            if key not in found:
-                yield f"'{at}' is missing"
-            elif key not in expected:
-                yield f"'{at}' does not belong there"
-            else:
-                yield from _differences(at, found[key], expected[key])
-    elif isinstance(found, list) and isinstance(expected, list) and len(found) == len(expected):
-        for index, (one, other) in enumerate(zip(found, expected, strict=True)):
-            yield from _differences(f"{where}[{index}]", one, other)
-    elif type(found) is not type(expected) or found != expected:
-        yield f"'{where}' is {_short(found)}, expected {_short(expected)}"
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    if not isinstance(found, dict):
+        yield f"its {METADATA_FILE} is no mapping"
+    elif what := differences(found, expected, words=("stored", "expected")):
+        yield f"its {METADATA_FILE}: {what}"

@@ -7,7 +7,7 @@ from mcap.reader import make_reader
 
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.export.rlds import export_rlds
+from roboxim_recorder.export import export_bags
 from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.run_bags import list_bags
 from roboxim_recorder.summary import bag_info, dataset_summary
@@ -88,4 +88,4 @@ def test_a_bag_that_lost_its_file_is_not_passed_over(tmp_path, fake):
     assert list_bags(tmp_path) == paths
     assert not check_bag(paths[1]).ok
     with pytest.raises(RecorderError, match="demo-0-00001-0 is not an episode's bag"):
-        export_rlds(tmp_path, tmp_path / "rlds")
+        export_bags("rlds", tmp_path, tmp_path / "rlds")

@@ -16,7 +16,8 @@ from roboxim_core.verdicts import Verdict
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader, mcap_file
 from roboxim_recorder.bag_writer import METADATA_FILE, McapFile
-from roboxim_recorder.export.rlds import ExportConfig, export_rlds
+from roboxim_recorder.export import export_bags
+from roboxim_recorder.export.rlds import ExportConfig
 from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.integrity.repair import OUTCOME_UNKNOWN, repair_bag, survey_bag
 from roboxim_recorder.integrity.salvage import Damage, SalvagedChunk, salvage
@@ -99,8 +100,8 @@ def test_a_lost_result_is_never_a_success(bag, fake, tmp_path):
     assert (result.outcome, result.reason, result.last_seq) == ("error", OUTCOME_UNKNOWN, report.kept - 1)
     assert result.final_state_hash == fake(steps=STEPS).state(report.kept - 1).state_hash
     with pytest.raises(RecorderError, match=OUTCOME_UNKNOWN):
-        export_rlds(tmp_path / "out", tmp_path / "rlds")
-    exported = export_rlds(tmp_path / "out", tmp_path / "rlds", ExportConfig(only_successful=False))
+        export_bags("rlds", tmp_path / "out", tmp_path / "rlds")
+    exported = export_bags("rlds", tmp_path / "out", tmp_path / "rlds", ExportConfig(only_successful=False))
     assert exported.splits == {"train": 1}
     assert exported.steps == result.steps
 
