@@ -12,7 +12,8 @@ import trimesh
 from roboxim_core.config import config_dir, from_plain, named_config
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.description import Visual
-from roboxim_core.models.library import PALETTE, ModelLibrary
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.modifiers import PALETTE
 from roboxim_core.models.visuals import (
     ScenePoses,
     box_mesh,

@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from roboxim_core.config import config_dir
-from roboxim_core.models.library import mesh_path
+from roboxim_core.models.urdf import mesh_path
 
 PACKAGE = "roboxim_core"
 """ROS package whose share folder contains ``config/robots``."""

@@ -366,17 +366,3 @@ def _converted(
     if isinstance(track, ActionContext):
         return ActionTransform.between(source, target).apply_chunk(rows, track)
     return convert_rows(rows, source, target, track)
-
-
-__all__ = [
-    "Chunking",
-    "Convention",
-    "PromptInput",
-    "Request",
-    "decode_actions",
-    "from_actions",
-    "joined_answer",
-    "load_convention",
-    "observe",
-    "to_actions",
-]

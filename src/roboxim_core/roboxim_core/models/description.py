@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from roboxim_core.errors import ConfigError
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.specs import MaterialSpec
 
@@ -179,24 +180,15 @@ AFFORDANCES = ("graspable", "support", "container", "articulated", "openable", "
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectModel:
-    """An object with its modifiers applied."""
+class ObjectNotes:
+    """What the file of an object says and its model keeps."""
 
-    id: str
-    """Id, e.g. ``cube``."""
     name: str
     """Noun used in instructions."""
-    links: tuple[LinkModel, ...]
-    """Links; the first is the base."""
     joints: tuple[JointModel, ...] = ()
     """Joints."""
     friction: Friction = Friction()
     """Contact parameters."""
-    size: Vec3
-    """Extents of the smallest box that holds all links with all joints at 0, is centred on the base frame along x and
-    y, and reaches from ``-rest_height`` up [m]."""
-    rest_height: float
-    """Height of the base frame above a support when it stands on it, z upwards [m]."""
     grasps: tuple[GraspAnnotation, ...] = ()
     """Grasps, best first."""
     affordances: tuple[str, ...] = ()
@@ -211,6 +203,21 @@ class ObjectModel:
     """Poses of the base, above a support whose surface is at z = 0, in which it lies toppled; any yaw."""
     yaw_symmetry_rad: float = 0.0
     """Angle of rotational symmetry about z [rad]; 0: no symmetry."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectModel(ObjectNotes):
+    """An object with its modifiers applied."""
+
+    id: str
+    """Id, e.g. ``cube``."""
+    links: tuple[LinkModel, ...]
+    """Links; the first is the base."""
+    size: Vec3
+    """Extents of the smallest box that holds all links with all joints at 0, is centred on the base frame along x and
+    y, and reaches from ``-rest_height`` up [m]."""
+    rest_height: float
+    """Height of the base frame above a support when it stands on it, z upwards [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,12 +268,12 @@ class ClosePair:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotModel:
-    """An arm with a gripper."""
+    """An arm with a gripper: a YAML file of ``config/robots``, whose files are relative to its folder."""
 
-    id: str
-    """Id, e.g. ``panda``."""
+    id: str = ""
+    """Id, e.g. ``panda``: the name of its file."""
     urdf: Path
-    """URDF that sim and planner both load."""
+    """URDF that sim and planner both load; its meshes are ``package://<robot id>/...``."""
     srdf: Path
     """SRDF with the disabled collision pairs."""
     base_link: str
@@ -289,3 +296,19 @@ class RobotModel:
     """Largest motor torque used by the sim [N m]."""
     close_pairs: tuple[ClosePair, ...] = ()
     """Pairs of links that the planner checks with finer geometry."""
+
+    def __post_init__(self) -> None:
+        """Check that every list has one number per joint.
+
+        Raises:
+            ConfigError: Naming the list.
+        """
+        lists = {
+            **asdict(self.limits),
+            "home": self.home,
+            "motor_force": self.motor_force,
+            **self.named_states,
+        }
+        for name, values in lists.items():
+            if len(values) != len(self.joint_names):
+                raise ConfigError(f"{name} must have {len(self.joint_names)} numbers, one per joint, got {len(values)}")

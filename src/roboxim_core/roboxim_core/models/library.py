@@ -9,66 +9,17 @@ import dataclasses
 import hashlib
 import json
 import os
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
 from roboxim_core import limits
 from roboxim_core.config import config_dirs, load_config
 from roboxim_core.errors import ConfigError, ErrorCode, one_of
-from roboxim_core.models.description import ClosePair, GripperModel, JointLimits, ObjectModel, RobotModel
-from roboxim_core.models.modifiers import PALETTE, ModifierModel, modified
+from roboxim_core.models.description import ObjectModel, RobotModel
+from roboxim_core.models.modifiers import ModifierModel, modified
 from roboxim_core.models.object_config import ObjectConfig
 from roboxim_core.specs import EntitySpec, Scalar, SceneSpec
-
-
-@dataclass(frozen=True, kw_only=True)
-class RobotConfig:
-    """A YAML file of ``config/robots``; fields as in `RobotModel`, files relative to the YAML's folder."""
-
-    urdf: str
-    """URDF file; its meshes are ``package://<robot id>/...`` in this folder."""
-    srdf: str
-    """SRDF file."""
-    base_link: str
-    """Root link."""
-    tcp_link: str
-    """Frame of the tool centre point."""
-    joint_names: tuple[str, ...]
-    """Arm joints."""
-    limits: JointLimits
-    """Their limits."""
-    gripper: GripperModel
-    """The gripper."""
-    home: tuple[float, ...]
-    """Arm joint positions at home [rad]."""
-    named_states: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    """Name to arm joint positions [rad]."""
-    position_gain: float = 0.3
-    """PyBullet position gain of the arm's motors."""
-    motor_force: tuple[float, ...] = ()
-    """Largest motor torque used by the sim [N m]."""
-    close_pairs: tuple[ClosePair, ...] = ()
-    """Pairs of links that the planner checks with finer geometry, a mesh per convex part."""
-
-    def __post_init__(self) -> None:
-        """Check that every list has one number per joint.
-
-        Raises:
-            ConfigError: Naming the list.
-        """
-        lists = {
-            **dataclasses.asdict(self.limits),
-            "home": self.home,
-            "motor_force": self.motor_force,
-            **self.named_states,
-        }
-        for name, values in lists.items():
-            if len(values) != len(self.joint_names):
-                raise ConfigError(f"{name} must have {len(self.joint_names)} numbers, one per joint, got {len(values)}")
-
 
 MAX_MODIFIED = 512
 """Number of modified objects that a library caches: a factor drawn from a range gives every episode its own object."""
@@ -107,20 +58,19 @@ class ModelLibrary:
         """
         if robot_id not in self._robots:
             path = self.path("robots", robot_id)
-            config = load_config(path, RobotConfig)
-            fields = {f.name: getattr(config, f.name) for f in dataclasses.fields(RobotConfig)}
-            for kind in ("urdf", "srdf"):
-                fields[kind] = path.parent / fields[kind]
-                if not fields[kind].is_file():
-                    raise ConfigError(f"{path}: {kind}: no such file: {fields[kind]}")
+            model = load_config(path, RobotModel)
+            urdf, srdf = path.parent / model.urdf, path.parent / model.srdf
+            for kind, file in (("urdf", urdf), ("srdf", srdf)):
+                if not file.is_file():
+                    raise ConfigError(f"{path}: {kind}: no such file: {file}")
             pairs = tuple(
                 dataclasses.replace(pair, parts=tuple(str(path.parent / part) for part in pair.parts))
-                for pair in config.close_pairs
+                for pair in model.close_pairs
             )
             for part in (part for pair in pairs for part in pair.parts):
                 if not Path(part).is_file():
                     raise ConfigError(f"{path}: close_pairs: no such file: {part}")
-            self._robots[robot_id] = RobotModel(id=robot_id, **{**fields, "close_pairs": pairs})
+            self._robots[robot_id] = dataclasses.replace(model, id=robot_id, urdf=urdf, srdf=srdf, close_pairs=pairs)
         return self._robots[robot_id]
 
     def object(self, object_id: str, modifiers: Mapping[str, Scalar] | None = None) -> ObjectModel:
@@ -258,18 +208,3 @@ def _digest(folder: Path, files: tuple[tuple[Path, int, int], ...]) -> str:
         hashed.update(json.dumps([os.path.relpath(file, folder), size]).encode())
         hashed.update(file.read_bytes())
     return hashed.hexdigest()
-
-
-@lru_cache(maxsize=8)
-def mesh_path(filename: str, urdf: Path) -> Path:
-    """Resolve a mesh filename of a URDF.
-
-    Args:
-        filename: ``package://<package>/<path>`` or a path relative to the URDF.
-        urdf: The URDF; its folder's parent holds the packages.
-    """
-    package = re.match(r"package://(.+)", filename)
-    return urdf.parent.parent / package.group(1) if package else urdf.parent / filename
-
-
-__all__ = ["PALETTE", "ModelLibrary", "ModifierModel", "ObjectConfig", "RobotConfig", "mesh_path"]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -100,6 +100,14 @@ def triangles(vertices: Array, normals: Array, faces: npt.ArrayLike, uv: Array |
         faces=np.ascontiguousarray(faces, dtype=np.uint32),
         uv=None if uv is None else np.ascontiguousarray(uv, dtype=np.float32),
     )
+
+
+def joined(pieces: Sequence[tuple[npt.NDArray[Any], ...]]) -> TriangleMesh:
+    """Return one mesh of several pieces: vertices, normals, faces and texture coordinates."""
+    offsets = np.cumsum([0, *[len(piece[0]) for piece in pieces]])
+    vertices, normals, uv = (np.concatenate([piece[k] for piece in pieces]) for k in (0, 1, 3))
+    faces = np.concatenate([piece[2] + offset for piece, offset in zip(pieces, offsets, strict=False)])
+    return triangles(vertices, normals, faces, uv)
 
 
 def from_trimesh(mesh: trimesh.Trimesh) -> TriangleMesh:

@@ -13,12 +13,12 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.bounds import links_bounds
 from roboxim_core.models.description import (
     AFFORDANCES,
-    Friction,
     GraspAnnotation,
     Handle,
     JointModel,
     LinkModel,
     ObjectModel,
+    ObjectNotes,
     PressPoint,
     Region,
     Shape,
@@ -45,11 +45,9 @@ NEEDS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectConfig:
-    """A YAML file of ``config/objects``; fields as in `ObjectModel`, plus the modifiers."""
+class ObjectConfig(ObjectNotes):
+    """A YAML file of ``config/objects``."""
 
-    name: str
-    """Noun used in instructions."""
     mesh: str = ""
     """Mesh file (GLB, OBJ, STL, ...) of the visual; its convex hull collides. Else give ``urdf`` or ``links``."""
     mesh_scale: float = 1.0
@@ -60,28 +58,10 @@ class ObjectConfig:
     """URDF file with the links and joints; see `models.urdf`."""
     links: tuple[LinkModel, ...] = ()
     """Links; the first is the base."""
-    joints: tuple[JointModel, ...] = ()
-    """Joints."""
-    friction: Friction = Friction()
-    """Contact parameters."""
     size: Vec3 | None = None
     """Extents; see `ObjectModel` [m]; none: from the collision shapes."""
     rest_height: float | None = None
     """Height of the base frame above a support when it stands on it [m]; none: from the collision shapes."""
-    grasps: tuple[GraspAnnotation, ...] = ()
-    """Grasps, best first."""
-    affordances: tuple[str, ...] = ()
-    """Of `AFFORDANCES`."""
-    regions: tuple[Region, ...] = ()
-    """Where other things can be put, best first."""
-    handles: tuple[Handle, ...] = ()
-    """What it is opened with."""
-    press_points: tuple[PressPoint, ...] = ()
-    """What is pressed."""
-    toppled: tuple[Pose, ...] = ()
-    """Poses of the base above a support in which it lies toppled."""
-    yaw_symmetry_rad: float = 0.0
-    """Angle of rotational symmetry about z [rad]; 0: no symmetry."""
     modifiers: dict[str, ModifierModel] = field(default_factory=dict)
     """Modifier name to what it allows."""
 
@@ -225,8 +205,7 @@ class ObjectConfig:
         """
         if not self.links:
             return self.resolved(folder).model(object_id, folder)
-        derived = ("id", "links", "size", "rest_height")
-        values = {f.name: getattr(self, f.name) for f in fields(ObjectModel) if f.name not in derived}
+        values = {f.name: getattr(self, f.name) for f in fields(ObjectNotes)}
         links = tuple(
             replace(
                 link,

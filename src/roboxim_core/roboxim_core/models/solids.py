@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roboxim_core.models.meshes import triangles, visual_generators
+from roboxim_core.models.meshes import joined, triangles, visual_generators
 from roboxim_core.poses import Array
 from roboxim_core.vision.renderer import TriangleMesh
 
@@ -146,7 +146,7 @@ def slotted_board(size: tuple[float, ...]) -> TriangleMesh:
             vertices = np.array([[a[0], -y, a[1]], [b[0], -y, b[1]], [b[0], y, b[1]], [a[0], y, a[1]]])
             ends = np.array([a, b, b, a]) / [wide, high] + 0.5
             pieces.append((vertices, np.tile(normal, (4, 1)), np.array([[0, 1, 2], [0, 2, 3]]), ends))
-    return _facing(pieces)
+    return joined([_facing(piece) for piece in pieces])
 
 
 @visual_generators.register("blade")
@@ -170,24 +170,15 @@ def blade(size: tuple[float, ...]) -> TriangleMesh:
     parts = [_strip(low, high, v, (0, 0, 1)), _strip(low, under, v, (0, 0, -1)), _strip(under, high, v, (0, 1, 0))]
     end = np.array([low[0], under[0], high[0]])
     parts.append((end, np.tile([-1.0, 0.0, 0.0], (3, 1)), np.array([[0, 2, 1]]), np.zeros((3, 2))))
-    offsets = np.cumsum([0, *[len(part[0]) for part in parts]])
-    return triangles(
-        np.concatenate([part[0] for part in parts]),
-        np.concatenate([part[1] for part in parts]),
-        np.concatenate([part[2] + offset for part, offset in zip(parts, offsets, strict=False)]),
-        np.concatenate([part[3] for part in parts]),
-    )
+    return joined(parts)
 
 
-def _facing(pieces: list[tuple[Array, Array, Array, Array]]) -> TriangleMesh:
-    """Join pieces (vertices, normals, faces, uv), each triangle turned so that it faces where its normals point."""
-    offsets = np.cumsum([0, *[len(piece[0]) for piece in pieces]])
-    vertices, normals, uv = (np.concatenate([piece[k] for piece in pieces]) for k in (0, 1, 3))
-    faces = np.concatenate([piece[2] + offset for piece, offset in zip(pieces, offsets, strict=False)])
+def _facing(piece: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+    """Return a piece whose triangles face the way of their first vertex's normal."""
+    vertices, normals, faces, uv = piece
     p, q, r = (vertices[faces[:, k]] for k in range(3))
     wrong = np.einsum("ij,ij->i", np.cross(q - p, r - p), normals[faces[:, 0]]) < 0
-    faces[wrong] = faces[wrong][:, ::-1]
-    return triangles(vertices, normals, faces, uv)
+    return vertices, normals, np.where(wrong[:, None], faces[:, ::-1], faces), uv
 
 
 def _strip(first: Array, second: Array, u: Array, facing: tuple[int, int, int]) -> tuple[Array, Array, Array, Array]:

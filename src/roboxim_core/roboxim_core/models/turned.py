@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roboxim_core.models.meshes import triangles, visual_generators
+from roboxim_core.models.meshes import joined, triangles, visual_generators
 from roboxim_core.poses import Array
 from roboxim_core.vision.renderer import TriangleMesh
 
@@ -74,7 +74,8 @@ def tube(size: tuple[float, ...]) -> TriangleMesh:
     u = np.linspace(0.0, 1.0, sections + 1)
     mesh = _grid_mesh(np.array(rings), np.array(normals), u, along)
     caps = [_cap(rings[0], -tangent[0], path[0], 0.0), _cap(rings[-1], tangent[-1], path[-1], 1.0)]
-    return _joined([mesh, *[cap for cap, r in zip(caps, (radius[0], radius[-1]), strict=True) if r > 1e-5]])
+    pieces = [mesh, *[cap for cap, r in zip(caps, (radius[0], radius[-1]), strict=True) if r > 1e-5]]
+    return joined([(p.vertices, p.normals, p.faces, p.uv) for p in pieces if p.uv is not None])
 
 
 @visual_generators.register("ribbon")
@@ -176,13 +177,3 @@ def _cap(ring: Array, normal: Array, center: Array, v: float) -> TriangleMesh:
         faces = faces[:, ::-1]
     uv = np.tile([0.5, v], (count + 1, 1))  # one point: a whole turn would sample the mean
     return triangles(vertices, np.tile(normal, (count + 1, 1)), faces, uv)
-
-
-def _joined(meshes: list[TriangleMesh]) -> TriangleMesh:
-    offsets = np.cumsum([0, *[len(mesh.vertices) for mesh in meshes]])
-    return triangles(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate([mesh.normals for mesh in meshes]),
-        np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=False)]),
-        np.concatenate([mesh.uv for mesh in meshes if mesh.uv is not None]),
-    )

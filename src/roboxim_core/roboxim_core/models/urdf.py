@@ -137,7 +137,7 @@ class _Joint:
             raise ConfigError(f"{path}: joint '{self.name}' mimics another one, which objects do not support")
         self.parent, self.child = (_attribute(element, tag, "link") for tag in ("parent", "child"))
         where = f"{path}: joint '{self.name}'"
-        self.pose = _origin(element, where)
+        self.pose = origin_pose(element, where)
         self.axis = _vector(_attribute(element, "axis", "xyz") or "1 0 0", f"{where}: <axis>")
         if not any(self.axis):
             raise ConfigError(f"{where}: <axis> has no direction, got 0 0 0")
@@ -194,7 +194,9 @@ def _shape(element: ElementTree.Element, path: Path) -> Shape:
     kind, size, mesh, scale = _geometry(element, path)
     if len({abs(factor) for factor in scale}) != 1 or min(scale) <= 0:
         raise ConfigError(f"{path}: a collision mesh needs one scale > 0 for x, y and z, got {scale}")
-    return Shape(kind="hull" if mesh else kind, size=size, mesh=mesh, scale=scale[0], pose=_origin(element, str(path)))
+    return Shape(
+        kind="hull" if mesh else kind, size=size, mesh=mesh, scale=scale[0], pose=origin_pose(element, str(path))
+    )
 
 
 def _visual(element: ElementTree.Element, path: Path, materials: dict[str, ElementTree.Element]) -> Visual:
@@ -206,7 +208,7 @@ def _visual(element: ElementTree.Element, path: Path, materials: dict[str, Eleme
     if material is not None and (color := material.find("color")) is not None:
         rgba = color.get("rgba", "0.7 0.7 0.7 1").split()[:3]
         surface = MaterialSpec(color=_vector(" ".join(rgba), f"{path}: <color> rgba"))
-    return Visual(kind=kind, size=size, mesh=mesh, scale=scale, pose=_origin(element, str(path)), material=surface)
+    return Visual(kind=kind, size=size, mesh=mesh, scale=scale, pose=origin_pose(element, str(path)), material=surface)
 
 
 def _geometry(element: ElementTree.Element, path: Path) -> tuple[str, tuple[float, ...], str, Vec3]:
@@ -231,7 +233,8 @@ def _geometry(element: ElementTree.Element, path: Path) -> tuple[str, tuple[floa
     raise ConfigError(f"{path}: <{inner.tag}> is not a geometry of URDF; expected box, sphere, cylinder or mesh")
 
 
-def _origin(element: ElementTree.Element, where: str) -> Pose:
+def origin_pose(element: ElementTree.Element, where: str) -> Pose:
+    """Return the pose that the ``<origin>`` of an element states."""
     from scipy.spatial.transform import Rotation
 
     origin = element.find("origin")

@@ -19,10 +19,11 @@ import roboxim_core.models.solids
 import roboxim_core.models.turned  # noqa: F401  (both register generators)
 from roboxim_core.errors import ConfigError
 from roboxim_core.kinematics.arm import ArmKinematics
-from roboxim_core.models.articulation import joint_motion, object_link_poses
+from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.description import Visual
-from roboxim_core.models.library import ModelLibrary, mesh_path
+from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.meshes import box_mesh, triangles, visual_generators
+from roboxim_core.models.urdf import mesh_path, origin_pose
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.specs import CameraSpec, MaterialSpec, SceneSpec, TableSpec
 from roboxim_core.state import RobotState, StateRecord
@@ -73,7 +74,7 @@ def robot_parts(robot_id: str, urdf: Path) -> dict[str, tuple[VisualPart, ...]]:
             mesh = element.find("geometry/mesh")
             if mesh is None:
                 raise ConfigError(f"{urdf}: link '{link.get('name')}': only mesh visuals are supported for robots")
-            pose = _urdf_origin(element.find("origin"))
+            pose = origin_pose(element, str(urdf))
             visual = Visual(kind="mesh", mesh=str(mesh_path(mesh.get("filename", ""), urdf)), pose=pose)
             found.extend(visual_parts(visual))
         if found:
@@ -339,29 +340,3 @@ def _placed(part: VisualPart, pose: Pose) -> VisualPart:
         uv=part.mesh.uv,
     )
     return VisualPart(mesh=mesh, material=part.material)
-
-
-def _urdf_origin(element: ElementTree.Element | None) -> Pose:
-    from scipy.spatial.transform import Rotation
-
-    if element is None:
-        return IDENTITY
-    xyz = [float(v) for v in element.get("xyz", "0 0 0").split()]
-    rpy = [float(v) for v in element.get("rpy", "0 0 0").split()]
-    return Pose.from_arrays(xyz, Rotation.from_euler("xyz", rpy))
-
-
-__all__ = [
-    "FLOOR_Z",
-    "ScenePoses",
-    "body_key",
-    "box_mesh",
-    "camera_parent",
-    "drawn_entities",
-    "joint_motion",
-    "object_link_poses",
-    "render_world",
-    "robot_parts",
-    "visual_generators",
-    "visual_parts",
-]

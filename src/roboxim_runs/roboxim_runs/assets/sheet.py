@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.models.visuals import body_key, object_link_poses, render_world
+from roboxim_core.models.visuals import body_key, render_world
 from roboxim_core.poses import Array, Pose, look_at
 from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec
 from roboxim_core.vision.renderer import Renderer, RenderWorld
