@@ -46,7 +46,7 @@ def image_tracks(episode: Episode) -> dict[str, ImageTrack]:
     for step in episode.steps() if episode.cameras else ():
         for camera, image in step.images.items():
             gray = image.mean(axis=2, dtype=np.float32)
-            cells[camera].append(_cells(gray))
+            cells[camera].append(cells_of(gray))
             deviation[camera].append(float(gray.std()))
     return {
         camera: ImageTrack(cells=np.stack(cells[camera]), deviation=np.array(deviation[camera], np.float32))
@@ -54,7 +54,7 @@ def image_tracks(episode: Episode) -> dict[str, ImageTrack]:
     }
 
 
-def _cells(gray: Values) -> Values:
+def cells_of(gray: Values) -> Values:
     """Return the mean of each cell; cells may differ by a row or a column."""
     rows, columns = (np.linspace(0, size, min(CELLS, size), endpoint=False).astype(int) for size in gray.shape)
     sums = np.add.reduceat(np.add.reduceat(gray, rows, axis=0), columns, axis=1)

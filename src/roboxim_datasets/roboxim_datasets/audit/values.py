@@ -11,10 +11,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core.poses import Pose
 from roboxim_core.proprioception import ProprioField, component_names
 from roboxim_datasets.audit.images import ImageTrack, image_tracks
 from roboxim_datasets.episode import Episode, Floats, Step
@@ -25,6 +27,8 @@ Flags = npt.NDArray[np.bool_]
 
 NO_TRUTH = "the dataset holds no state of the scene; name the bags that it was exported from (--bags)"
 """Why a check that needs ground truth cannot be made of a dataset alone."""
+NO_EXPECTED = "nothing says what its values should be; name its bags (--bags) or another dataset of it (--against)"
+"""Why a dataset alone is not compared value by value."""
 
 
 class CannotCheckError(Exception):
@@ -131,6 +135,21 @@ class Truth:
     """Distance of the replayed from the recorded tool centre point at each tick [m]; none: not replayed."""
 
 
+class Arm(Protocol):
+    """An arm's kinematics and limits; `roboxim_core.kinematics.ArmKinematics` is one."""
+
+    lower: Values
+    """Lower joint limits [rad]."""
+    upper: Values
+    """Upper joint limits [rad]."""
+    velocity: Values
+    """Velocity limits of the joints [rad/s]."""
+
+    def fk(self, joints: npt.ArrayLike) -> Pose:
+        """Return the pose of the tool centre point in the base."""
+        ...
+
+
 @dataclass(kw_only=True, eq=False)
 class AuditEpisode:
     """An episode under audit."""
@@ -145,10 +164,16 @@ class AuditEpisode:
     """Ground truth; none: there is none, for `no_truth`."""
     no_truth: str = NO_TRUTH
     """Why there is no ground truth."""
-    joint_limits: tuple[tuple[float, float], ...] = ()
-    """Lower and upper limit of each arm joint [rad]; empty: unknown."""
+    arm: Arm | None = None
+    """The arm, if its joints are those of the state in the same order; none: unknown."""
     source: str = ""
     """Where to find it, e.g. its bag."""
+    expected: Episode | None = None
+    """What it should be, value by value: an export of its bag, or the episode of another dataset; none: unknown."""
+    no_expected: str = NO_EXPECTED
+    """Why nothing says what it should be."""
+    lossless: bool = True
+    """Whether its images should be equal to the expected ones, pixel by pixel."""
 
     @cached_property
     def steps(self) -> tuple[Step, ...]:
@@ -165,6 +190,13 @@ class AuditEpisode:
     def actions(self) -> Floats:
         """All actions, float32, shape (T, D)."""
         return np.stack([step.action for step in self.steps])
+
+    @cached_property
+    def executed(self) -> Floats | None:
+        """All executed actions, float32, shape (T, D); None: the dataset stores none."""
+        rows = [step.action_executed for step in self.steps]
+        there = [row for row in rows if row is not None]
+        return np.stack(there) if there and len(there) == len(rows) else None
 
     @cached_property
     def proprio(self) -> dict[str, Floats]:
@@ -201,6 +233,28 @@ class AuditEpisode:
         if not rate:
             raise CannotCheckError("the dataset does not say at which rate it was recorded")
         return rate
+
+    @property
+    def robot(self) -> str:
+        """Id of the robot; empty: unknown."""
+        return self.episode.robot
+
+    @property
+    def simulated(self) -> bool:
+        """Whether RoboXim's simulator recorded it, whose arms follow commands to fractions of a millimetre."""
+        return "final_state_hash" in self.episode.metadata
+
+    @property
+    def planned(self) -> bool:
+        """Whether RoboXim's expert acted, whose labels follow a planned course."""
+        return self.simulated and self.episode.metadata.get("actor") == "expert"
+
+    def rate_or(self, default: float) -> float:
+        """Return the control rate, or a default where the dataset does not say it [Hz]."""
+        try:
+            return self.rate_hz
+        except CannotCheckError:
+            return default
 
     def field(self, *names: str) -> Floats:
         """Return the first of some fields of the proprioception that the dataset has.

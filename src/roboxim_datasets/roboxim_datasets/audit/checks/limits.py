@@ -14,34 +14,6 @@ LIMIT_RAD = 0.01
 FORCE_N = 5.0
 
 
-@AUDIT_CHECKS.register("joint_limits")
-class JointLimits(AuditCheck):
-    """Joint positions beyond the robot's limits."""
-
-    title = "Joints are beyond their limits"
-    reason = "Units or the order of the joints are wrong, or the motion cannot be made by a real arm."
-    threshold = f"a joint more than {1000 * LIMIT_RAD:g} mrad beyond its limit"
-    needs = "joint positions, and the limits of a robot that RoboXim knows"
-    order = 18
-
-    def look(self, episode: AuditEpisode) -> Iterator[Finding]:
-        """Find joints beyond their limits."""
-        joints = episode.field("joint_positions")
-        limits = np.array(episode.joint_limits)
-        if limits.shape != (joints.shape[1], 2):
-            raise CannotCheckError("the joints' limits are not known")
-        beyond = np.maximum(limits[:, 0] - joints, joints - limits[:, 1]).max(axis=1)
-        worst = int(beyond.argmax())
-        if beyond[worst] > LIMIT_RAD:
-            yield Finding(
-                text=f"a joint is up to {beyond[worst]:.3f} rad beyond its limit, in "
-                f"{int((beyond > LIMIT_RAD).sum())} of {len(beyond)} ticks",
-                episodes=(episode.name,),
-                ticks=(worst,),
-                series={"beyond the nearest limit [rad]": tuple(np.maximum(beyond, 0.0))},
-            )
-
-
 @AUDIT_CHECKS.register("collision")
 class Collision(AuditCheck):
     """Contacts of the robot with the table or with other objects."""
