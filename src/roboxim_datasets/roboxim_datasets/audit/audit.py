@@ -55,6 +55,11 @@ class Auditor:
         """Note an episode that cannot be read."""
         self._unreadable[name] = why
 
+    def note(self, check: str, findings: Iterable[Finding]) -> None:
+        """Add findings that no single episode shows, such as that one is missing; of a check that is made."""
+        if check in self._findings:
+            self._findings[check] += findings
+
     def result(self) -> AuditResult:
         """Conclude the audit; call it once."""
         return AuditResult(

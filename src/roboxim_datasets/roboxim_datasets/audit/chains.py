@@ -2,7 +2,7 @@
 
 Increments compare whatever the control mode is: a motion that is commanded relative to the last target, relative to
 the measured pose, or as an absolute target becomes the step from target to target. Two targets count. The *executed*
-one moved the arm. The *label* differs from it where noise was injected into a demonstration; it is what a policy learns.
+one moved the arm. The *label* differs from it where noise was injected; it is what a policy learns.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def _joint_chain(episode: AuditEpisode, semantics: ActionSemantics, rows: Mappin
         raise CannotCheckError("the actions have another number of joints than the state")
     scale = 1.0 / episode.rate_hz if semantics.control == ControlMode.JOINT_VELOCITY else 1.0
     absolute = semantics.control == ControlMode.JOINT_POSITION
-    targets = {}
+    targets: dict[str, list[Values]] = {}
     last = measured[0]
     for k in range(len(measured)):
         base = measured[k] if semantics.delta_base == DeltaBase.MEASURED else last
@@ -107,7 +107,9 @@ def _position_and_rotation(
     turned = {name: decode_rows(values[:, 3 : 3 + kind.size], kind) for name, values in rows.items()}
     orientation = _measured_rotation(episode)
     if orientation is None and semantics.frame == ReferenceFrame.TOOL:
-        raise CannotCheckError("motions in the tool's frame need its measured rotation, which the dataset does not name")
+        raise CannotCheckError(
+            "motions in the tool's frame need its measured rotation, which the dataset does not name"
+        )
     known = orientation if orientation is not None else Rotation.identity(len(measured))
     places: dict[str, list[Values]] = {name: [] for name in rows}
     turns: dict[str, list[Any]] = {name: [] for name in rows}

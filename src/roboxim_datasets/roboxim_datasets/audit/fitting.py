@@ -95,9 +95,8 @@ def _repairs(rows: Values, other: Values, names: Sequence[str]) -> Iterator[tupl
             yield f"scaled by {1 / gain:.2f}", rows * gain
     for ticks in (1, -1, 2, -2, 3, -3, 4, -4):
         if len(rows) > 3 * abs(ticks):
-            yield f"{abs(ticks)} {'tick' if abs(ticks) == 1 else 'ticks'} {'late' if ticks > 0 else 'early'}", shifted(
-                rows, -ticks
-            )
+            words = f"{abs(ticks)} {'tick' if abs(ticks) == 1 else 'ticks'} {'late' if ticks > 0 else 'early'}"
+            yield words, rows[np.clip(np.arange(len(rows)) + ticks, 0, len(rows) - 1)]
     count = rows.shape[1]
     if 1 <= count <= 3:
         for order in permutations(range(count)):
@@ -113,10 +112,8 @@ def _repairs(rows: Values, other: Values, names: Sequence[str]) -> Iterator[tupl
             gain = float(rows[:, component] @ other[:, component]) / power
             changed = rows.copy()
             changed[:, component] *= gain
-            if abs(gain) > 1e-3:
+            if gain > 1e-3:
                 yield f"{names[component]} scaled by {1 / gain:.2f}", changed
-            else:
-                yield f"{names[component]} of something else", changed
         for second in range(component + 1, count):
             changed = rows.copy()
             changed[:, [component, second]] = changed[:, [second, component]]

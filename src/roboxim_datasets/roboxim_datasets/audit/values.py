@@ -172,6 +172,8 @@ class AuditEpisode:
     """What it should be, value by value: an export of its bag, or the episode of another dataset; none: unknown."""
     no_expected: str = NO_EXPECTED
     """Why nothing says what it should be."""
+    unexpected: str = ""
+    """Why it should not be there at all; empty: it should."""
     lossless: bool = True
     """Whether its images should be equal to the expected ones, pixel by pixel."""
 

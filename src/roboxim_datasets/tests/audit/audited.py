@@ -8,8 +8,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionSemantics
+from roboxim_core.poses import Pose
 from roboxim_core.proprioception import ProprioField, component_names
 from roboxim_datasets.audit import Approach, AuditEpisode, Auditor, AuditResult, Meaning, Truth
 from roboxim_datasets.episode import Episode, ImageSize, Step, Wanted
@@ -24,6 +26,27 @@ FIELDS = (
 )
 
 
+class KnownArm:
+    """An arm whose poses are those of the made-up episodes."""
+
+    lower, upper, velocity = np.full(7, -3.0), np.full(7, 3.0), np.full(7, 1e3)
+
+    def fk(self, joints: Any) -> Pose:
+        """Return the position that an episode has with these joints; elsewhere the origin."""
+        return Pose(position=_places().get(np.asarray(joints, np.float32).tobytes(), (0.0, 0.0, 0.0)))
+
+
+@lru_cache(maxsize=1)
+def _places() -> dict[bytes, Any]:
+    """Return joints to position in the made-up episodes."""
+    made = [arrays(seed) for seed in range(101)]
+    return {
+        joints.tobytes(): tuple(place.tolist())
+        for values in made
+        for joints, place in zip(values["joint_positions"], values["tcp_position"], strict=True)
+    }
+
+
 @lru_cache(maxsize=256)
 def arrays(seed: int, steps: int = STEPS) -> dict[str, Any]:
     """Return a reach with the noise that demonstrations have: actions, proprioception and images; do not change it."""
@@ -34,7 +57,10 @@ def arrays(seed: int, steps: int = STEPS) -> dict[str, Any]:
     turn = rng.normal(0, 0.01, (steps, 3))
     command = np.where(np.arange(steps) < steps // 2, 1.0, 0.0)
     opening = np.interp(np.arange(steps), [0, steps // 2 + 1, steps // 2 + 5, steps], [1.0, 1.0, 0.4, 0.4])
-    rotation = np.tile([1.0, 0.0, 0.0, 0.0, -1.0, 0.0], (steps, 1)) + rng.normal(0, 1e-3, (steps, 6))
+    matrices = [Rotation.from_quat([1.0, 0.0, 0.0, 0.0])]
+    for euler in turn[:-1]:
+        matrices.append(Rotation.from_euler("xyz", euler) * matrices[-1])
+    rotation = np.array([turned.as_matrix()[:, :2].T.reshape(-1) for turned in matrices])
     joints = rng.normal(0, 0.3, 7) + np.cumsum(rng.normal(0, 0.01, (steps, 7)), axis=0)
     return {
         "actions": np.column_stack([speed, turn, command]).astype(np.float32),

@@ -49,7 +49,7 @@ def test_every_check_conforms(name: str) -> None:
 def test_clean_episodes_have_no_finding() -> None:
     episodes = [
         AuditEpisode(
-            name=f"e{i}", split="train" if i % 4 else "val", joint_limits=((-3.0, 3.0),) * 7, truth=audited.truth(),
+            name=f"e{i}", split="train" if i % 4 else "val", arm=audited.KnownArm(), truth=audited.truth(),
             episode=audited.episode(i, stamps=np.arange(audited.STEPS) / 10.0),
         )
         for i in range(12)
@@ -57,7 +57,7 @@ def test_clean_episodes_have_no_finding() -> None:
     result = audited.audit(*episodes)
     assert result.clean
     assert [finding.text for _, finding in result.findings()] == []
-    assert {check.name for check in result.checks if not check.checked} == {"hidden_object", "replay"}
+    assert {check.name for check in result.checks if not check.checked} == {"content", "hidden_object", "replay"}
 
 
 def test_a_dataset_alone_cannot_be_checked_for_what_needs_ground_truth() -> None:
@@ -292,11 +292,80 @@ def test_contacts_that_no_demonstration_should_have() -> None:
     assert not found("collision", with_truth(touches=(replace(hit, force_n=2.0),)))
 
 
-def test_joint_limits_are_those_of_the_robot() -> None:
-    near = AuditEpisode(name="e0", split="", episode=audited.episode(), joint_limits=((-3.0, 3.0),) * 7)
-    assert not found("joint_limits", near)
-    assert found("joint_limits", replace(near, joint_limits=((-0.01, 0.01),) * 7)) == ("e0",)
-    assert "not known" in unchecked("joint_limits", audited.episode())
+def test_joints_lead_to_the_recorded_pose_and_keep_the_limits() -> None:
+    right = AuditEpisode(name="e0", split="", episode=audited.episode(), arm=audited.KnownArm())
+    assert not found("kinematics", right)
+    late = np.roll(audited.arrays(0)["joint_positions"], 1, axis=0)
+    assert found("kinematics", replace(right, episode=audited.episode(joint_positions=late))) == ("e0",)
+    arm = audited.KnownArm()
+    arm.lower, arm.upper = np.full(7, -0.01), np.full(7, 0.01)
+    assert "beyond its limit" in texts("kinematics", replace(right, arm=arm))[0]
+    assert "not known" in unchecked("kinematics", audited.episode())
+
+
+def texts(check: str, *episodes: Any) -> list[str]:
+    """Return what a check says."""
+    return [finding.text for finding in audited.audit(*episodes, checks=(check,)).check(check).findings]
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lambda rows: np.roll(rows, 1, axis=0), "1 tick late"),
+        (lambda rows: rows * np.float32([1.15, 1.15, 1.15, 1, 1, 1, 1]), "scaled by 1.15"),
+        (lambda rows: rows[:, [1, 0, 2, 3, 4, 5, 6]], "y, x, z"),
+        (lambda rows: rows * np.float32([-1, 1, 1, 1, 1, 1, 1]), "the sign of x"),
+    ],
+)
+def test_actions_that_the_motion_does_not_follow_are_found_and_the_edit_is_named(edit: Any, words: str) -> None:
+    edited = audited.episode(actions=edit(audited.arrays(0)["actions"]))
+    others = [audited.episode(number) for number in range(1, 8)]
+    assert found("motion", edited, *others) == ("e0",)
+    assert words in texts("motion", edited, *others)[0]
+
+
+def test_labels_are_what_was_executed_where_no_noise_was_injected() -> None:
+    clean = audited.episode()
+    labels = audited.arrays(0)["actions"].copy()
+    labels[20, 0] += 0.003
+    assert found("labels", relabelled(clean, labels)) == ("e0",)
+    labels = audited.arrays(0)["actions"].copy()
+    labels[30:, 6] = 1.0
+    assert "gripper" in texts("labels", relabelled(clean, labels))[0]
+    assert not found("labels", clean)
+
+
+def relabelled(episode: Any, labels: np.ndarray) -> Any:
+    """Return an episode with other labels, of which the executed actions stay."""
+
+    def read(wanted: Any) -> Any:
+        return (replace(step, action=labels[step.index]) for step in episode.read(wanted))
+
+    return replace(episode, read=read)
+
+
+def test_every_value_is_compared_with_what_it_should_be() -> None:
+    values = audited.arrays(0)
+    swapped = dict(zip(("workspace", "wrist"), reversed(values["images"].values()), strict=True))
+    cases = {
+        "1 tick late": {"tcp_position": np.vstack([values["tcp_position"][:1], values["tcp_position"][:-1]])},
+        "those of episode e0": {"actions": audited.arrays(1)["actions"]},
+        "should show at tick": {"images": swapped},
+        "the instruction is": {"instruction": "Push the cube"},
+    }
+    first = AuditEpisode(name="e0", split="", episode=audited.episode(1), expected=audited.episode(1))
+    assert not found("content", first)
+    for words, changes in cases.items():
+        item = AuditEpisode(name="e1", split="", episode=audited.episode(**changes), expected=audited.episode())
+        assert found("content", first, item) == ("e1",)
+        assert any(words in text for text in texts("content", first, item)), words
+    assert "--bags" in unchecked("content", audited.episode())
+
+
+def test_failed_rollouts_are_no_wrong_instructions() -> None:
+    failed = with_truth(meaning=Meaning(ever=False))
+    failed = replace(failed, episode=replace(failed.episode, success=False))
+    assert "failed" in unchecked("wrong_instruction", failed)
 
 
 def test_replay_errors() -> None:

@@ -11,6 +11,7 @@ import pytest
 from roboxim_core.errors import InvalidRequestError
 from roboxim_datasets.audit import AuditEpisode, Auditor, AuditResult
 from roboxim_datasets.audit.faults import DATASET_FAULTS, EditableEpisode, choose
+from roboxim_datasets.audit.faults.composed import Composed, compose
 
 COUNTS = {0.01: 100, 0.1: 20, 1.0: 10}
 """Share of the episodes in which a fault is planted, to the number of episodes."""
@@ -22,6 +23,8 @@ SIDE_EFFECTS = {
     "state_lag": {"frozen_camera"},
 }
 """Fault to the checks that may find it, too."""
+GENERAL = {"motion", "labels", "kinematics", "behaviour"}
+"""Checks that know no faults and may find any."""
 TASKS = ("Pick up the cube", "Pick up the apple")
 TASK = (
     '{"skill": "pick_up", "objects": {"target": {"model": "%s", "modifiers": {}}}, "arguments": {}, '
@@ -34,7 +37,7 @@ def clean(number: int) -> AuditEpisode:
     text = TASKS[number % 2]
     made = audited.episode(number, instruction=text)
     made = replace(made, metadata={**made.metadata, "task": TASK % (number % 2, text)})
-    return AuditEpisode(name=f"e{number}", split="train", episode=made, joint_limits=((-3.0, 3.0),) * 7)
+    return AuditEpisode(name=f"e{number}", split="train", episode=made, arm=audited.KnownArm())
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +78,7 @@ def test_every_planted_fault_is_found_and_nothing_else(name: str, rate: float, p
     assert len(chosen.done) == max(1, round(rate * len(items)))
     result = audit(list(items.values()))
     assert set(result.check(fault.found_by).faulty_episodes) == set(chosen.done)
-    others = {check.name for check in result.checks if check.faults} - {fault.found_by}
+    others = {check.name for check in result.checks if check.faults} - {fault.found_by} - GENERAL
     assert others <= SIDE_EFFECTS.get(name, set())
 
 
@@ -109,3 +112,26 @@ def test_a_higher_rate_keeps_what_a_lower_one_plants() -> None:
 
     low, high = choose(names, 0.1, 4, plant).done, choose(names, 0.5, 4, plant).done
     assert low.items() <= high.items()
+
+
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_faults_that_nobody_named_are_found(seed: int, pool: list[AuditEpisode]) -> None:
+    rng, auditor = np.random.default_rng(seed), Auditor()
+    sources = [item.episode for item in pool[:24]]
+    planted: dict[str, Composed] = {}
+    for number, item in enumerate(pool[:24]):
+        episode = replace(item.episode, metadata={**item.episode.metadata, "final_state_hash": f"{number:032x}"})
+        audited_one = replace(item, episode=episode)
+        if number % 2:
+            copy = EditableEpisode.of(episode)
+            planted[item.name] = compose(copy, sources, rng)
+            audited_one = replace(item, episode=copy.as_episode(), expected=episode)
+        auditor.add(audited_one)
+    result = auditor.result()
+    done = {name for name, fault in planted.items() if fault.text}
+    assert set(result.check("content").faulty_episodes) == done, "with the bags every edit is found"
+    others = {name for check in result.checks if check.name != "content" for name in check.faulty_episodes}
+    counting = {name for name in done if planted[name].counts}
+    assert len(counting) >= 8
+    assert len(counting - others) <= 1, {name: planted[name] for name in counting - others}
+    assert others <= done

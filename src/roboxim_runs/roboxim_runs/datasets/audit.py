@@ -16,9 +16,11 @@ from pathlib import Path
 
 from roboxim_bringup.cores import CoreSegmentation
 from roboxim_core.errors import ConfigError, RecorderError, RoboximError
+from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_datasets.audit import AUDIT_CHECKS, AuditEpisode, Auditor, AuditResult, Finding
 from roboxim_datasets.audit.report import AuditReport, Picture, write_audit
+from roboxim_datasets.audit.values import NO_EXPECTED
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import open_dataset
@@ -27,6 +29,7 @@ from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.export.episodes import bag_episode
 from roboxim_recorder.export.selection import Source
 from roboxim_recorder.run_bags import holds_bags, list_bags, run_bags
+from roboxim_runs.datasets.audit_expected import NO_BAG, Expected, expected_of_bags, expected_of_dataset
 from roboxim_runs.datasets.audit_truth import BagTruth, TruthPorts
 from roboxim_runs.events import (
     OnEvent,
@@ -45,7 +48,6 @@ PICTURED_TICKS = 4
 PICTURED_CAMERAS = 3
 """Most cameras of a finding that are shown."""
 OTHER_RATE = "its bag has another number of ticks: the dataset was subsampled or cut"
-NO_BAG = "none of the bags given is of this episode"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +59,8 @@ class AuditConfig:
     bags: tuple[Path, ...] = ()
     """Runs, folders of bags or bags in which a dataset's episodes are looked up, for the checks that need ground
     truth."""
+    against: Path | None = None
+    """Another dataset of the same episodes, which says what every value should be; none: bags do, if they are given."""
     render: bool = True
     """Whether to render segmentation images, for the checks of visibility and colours."""
     replay: bool = False
@@ -74,6 +78,8 @@ class AuditConfig:
         """
         for name in self.checks:
             AUDIT_CHECKS[name]
+        if self.against is not None and self.bags:
+            raise ConfigError("give bags or another dataset, not both: each says what the values should be")
         for name in ("episodes", "pictures"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name} must be >= 0, got {getattr(self, name)}")
@@ -85,8 +91,8 @@ class Audited:
 
     result: AuditResult
     """What was found."""
-    page: Path
-    """The report, ``report.html``; ``audit.json`` is beside it."""
+    page: Path | None
+    """The report, ``report.html``; ``audit.json`` is beside it. None: no folder was given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,11 +114,11 @@ def audit_dataset(
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
 ) -> Audited:
-    """Audit a run, a folder of bags, a bag, or a dataset of any registered format, and write the report.
+    """Audit a run, a folder of bags, a bag, or a dataset of any registered format.
 
     Args:
         path: The bags or the dataset.
-        out: Folder for ``report.html`` and ``audit.json``; none: ``<path>-audit``.
+        out: Folder for the report, ``report.html`` and ``audit.json``; none: nothing is written.
         config: What to check; none: everything that needs no simulation.
         on_event: Receives the run's events.
         cancellation: Ends the audit when it is set.
@@ -124,10 +130,10 @@ def audit_dataset(
             cannot be read is reported, and the others are audited.
     """
     path, config = Path(path), config or AuditConfig()
-    folder = Path(out) if out is not None else path.with_name(f"{path.resolve().name}-audit")
-    checked_path(folder)
-    total, entries = _entries(path, config)
-    auditor, pictures = Auditor(config.checks), _Pictures(config.pictures)
+    if out is not None:
+        checked_path(out)
+    total, entries, expected = _entries(path, config)
+    auditor, pictures = Auditor(config.checks), _Pictures(config.pictures if out is not None else 0)
     sources: dict[str, str] = {}
     with ExitStack() as stack, telling_interruption(on_event, lambda: "the same call or command starts again"):
         ports = _ports(config, stack)
@@ -136,7 +142,7 @@ def audit_dataset(
             if cancellation is not None and cancellation.is_set():
                 raise CancelledError("the audit was cancelled")
             try:
-                episode = _episode(entry, ports)
+                episode = _episode(entry, ports, expected)
             except RoboximError as error:
                 auditor.add_unreadable(entry.name, str(error))
             else:
@@ -144,7 +150,12 @@ def audit_dataset(
                 pictures.take(episode, auditor.add(episode))
             on_event(StageProgress(done=done, total=total))
         on_event(StageFinished())
+    if isinstance(expected, Expected) and not config.episodes:
+        auditor.note("content", _missing(expected))
     result = auditor.result()
+    if out is None:
+        return Audited(result=result, page=None)
+    folder = Path(out)
     report = AuditReport(
         title=f"Audit of {path}",
         result=result,
@@ -173,17 +184,30 @@ def _ports(config: AuditConfig, stack: ExitStack) -> TruthPorts:
 # ------------------------------------------------------------------ episodes
 
 
-def _entries(path: Path, config: AuditConfig) -> tuple[int, Iterator[_Entry]]:
-    """Return the number of episodes, and the episodes one after another."""
+def _entries(path: Path, config: AuditConfig) -> tuple[int, Iterator[_Entry], Expected | str]:
+    """Return the number of episodes, the episodes one after another, and what they should be or why nothing says it."""
     if not path.exists():
         raise ConfigError(f"no such folder: {path}; expected a run, a folder of bags, or a dataset")
     most = config.episodes or None
     if holds_bags(path):
         bags = ([path] if path.is_file() else list(run_bags(path).paths))[:most]
-        return len(bags), (_Entry(name=bag.name, bag=bag) for bag in bags)
+        why = "bags are what was recorded; a dataset is compared with them"
+        return len(bags), (_Entry(name=bag.name, bag=bag) for bag in bags), why
     dataset = open_dataset(path)
     count = min(len(dataset), most or len(dataset))
-    return count, _of_dataset(dataset, count, _Bags(config.bags))
+    found = _Bags(config.bags)
+    expected: Expected | str = NO_EXPECTED
+    if config.against is not None:
+        expected = expected_of_dataset(dataset, open_dataset(config.against))
+    elif config.bags:
+        expected = expected_of_bags(dataset, found.paths)
+    return count, _of_dataset(dataset, count, found), expected
+
+
+def _missing(expected: Expected) -> Iterator[Finding]:
+    """Yield the episodes that an export of the bags gives and the dataset lacks."""
+    for name in sorted(expected.unclaimed):
+        yield Finding(text=f"an export of the bags has episode {name}, the dataset has not", episodes=(name,))
 
 
 def _of_dataset(dataset: Dataset, count: int, bags: _Bags) -> Iterator[_Entry]:
@@ -204,18 +228,18 @@ class _Bags:
 
     def __init__(self, folders: Sequence[Path]) -> None:
         self._given = bool(folders)
-        self._paths: dict[str, list[Path]] = {}
+        self.paths: dict[str, list[Path]] = {}
         for folder in folders:
             for bag in [folder] if folder.is_file() else list_bags(folder):
                 name = bag.parent.name if bag.is_file() else bag.name
-                self._paths.setdefault(name, []).append(bag)
+                self.paths.setdefault(name, []).append(bag)
 
     def find(self, episode: Episode) -> tuple[Path | None, str]:
         """Return the bag of a dataset's episode, or why there is none."""
         if not self._given:
             return None, ""
         wanted = episode.metadata.get("final_state_hash")
-        for bag in self._paths.get(episode.episode_id, ()):
+        for bag in self.paths.get(episode.episode_id, ()):
             try:
                 if wanted is None or BagReader(bag).result.final_state_hash == wanted:
                     return bag, ""
@@ -224,7 +248,7 @@ class _Bags:
         return None, NO_BAG
 
 
-def _episode(entry: _Entry, ports: TruthPorts) -> AuditEpisode:
+def _episode(entry: _Entry, ports: TruthPorts, expected: Expected | str) -> AuditEpisode:
     """Return an episode with its ground truth.
 
     Raises:
@@ -241,7 +265,13 @@ def _episode(entry: _Entry, ports: TruthPorts) -> AuditEpisode:
         episode = bag_episode(source, truth.joint_names)
     made = AuditEpisode(name=entry.name, split=entry.split, episode=episode, source=str(entry.bag or ""))
     made.no_truth = entry.no_bag or made.no_truth
-    made.joint_limits = _joint_limits(episode, ports.library)
+    made.arm = _arm(episode, ports)
+    if isinstance(expected, str):
+        made.no_expected = expected
+    else:
+        made.expected, made.lossless = expected.find(episode, entry.name), expected.lossless
+        made.unexpected = "" if made.expected is not None else expected.missing
+        expected.unclaimed.discard(episode.episode_id)
     if truth is not None:
         if truth.steps == len(episode):
             made.truth = truth.measure()
@@ -250,13 +280,14 @@ def _episode(entry: _Entry, ports: TruthPorts) -> AuditEpisode:
     return made
 
 
-def _joint_limits(episode: Episode, library: ModelLibrary) -> tuple[tuple[float, float], ...]:
-    """Return the limits of an episode's arm joints; empty: the robot or its joints are not known."""
-    if episode.robot not in library.robot_ids:
-        return ()
-    robot = library.robot(episode.robot)
-    limits = dict(zip(robot.joint_names, zip(robot.limits.lower, robot.limits.upper, strict=True), strict=True))
-    return tuple(limits[name] for name in episode.joint_names) if set(episode.joint_names) <= limits.keys() else ()
+def _arm(episode: Episode, ports: TruthPorts) -> ArmKinematics | None:
+    """Return the arm of an episode; None: the robot or the order of its joints is not known."""
+    if episode.robot not in ports.library.robot_ids:
+        return None
+    if episode.robot not in ports.arms:
+        ports.arms[episode.robot] = ArmKinematics(ports.library.robot(episode.robot))
+    arm = ports.arms[episode.robot]
+    return arm if tuple(episode.joint_names) == tuple(arm.model.joint_names) else None
 
 
 # ------------------------------------------------------------------ report
@@ -303,6 +334,7 @@ def _facts(path: Path, config: AuditConfig, result: AuditResult) -> dict[str, st
         "audited": str(path),
         "episodes": str(result.episodes),
         "steps": str(result.steps),
+        "expected values": str(config.against or ", ".join(map(str, config.bags)) or "unknown"),
         "ground truth": "bags" if holds_bags(path) else ", ".join(map(str, config.bags)) or "none",
         "visibility and colours": "rendered" if config.render else "not rendered",
         "replay": "executed again" if config.replay else "not executed",
@@ -313,6 +345,7 @@ def _command(path: Path, out: Path | str | None, config: AuditConfig) -> str:
     words = ["roboxim", "dataset", "audit", str(path)]
     words += [word for name in config.checks for word in ("--check", name)]
     words += [word for folder in config.bags for word in ("--bags", str(folder))]
+    words += ["--against", str(config.against)] if config.against is not None else []
     words += ["--replay"] * config.replay + ["--no-render"] * (not config.render)
     words += ["--episodes", str(config.episodes)] if config.episodes else []
     words += ["--out", str(out)] if out is not None else []

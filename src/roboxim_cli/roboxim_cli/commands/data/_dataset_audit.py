@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,10 +35,15 @@ def _list_checks(context: click.Context, _: click.Parameter, value: bool) -> Non
 @strict.command("audit")
 @click.argument("path", type=Place())
 @click.option(
-    "--bags", multiple=True, type=Place(), help="Bags of a dataset's episodes, for ground truth; may be repeated."
+    "--bags",
+    multiple=True,
+    type=Place(),
+    help="Bags of a dataset's episodes: every value is compared with what their export gives, and they are the ground "
+    "truth of the other checks; may be repeated.",
 )
+@click.option("--against", type=Place(), help="Another dataset of the same episodes: every value is compared with it.")
 @click.option("--check", "checks", multiple=True, metavar="NAME", help="Make this check only; may be repeated.")
-@option("out", help="Folder of the report; default: PATH-audit.")
+@option("out", help="Folder of the report; default: none is written.")
 @click.option("--replay", is_flag=True, help="Also execute the bags' actions again.")
 @click.option("--no-render", is_flag=True, help="Leave out the checks that need a renderer.")
 @option("episodes", type=click.IntRange(0), default=0, show_default="all", help="Audit the first episodes only.")
@@ -45,7 +51,12 @@ def _list_checks(context: click.Context, _: click.Parameter, value: bool) -> Non
     "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_checks, help="List the checks and exit."
 )
 def command(
-    path: Path | str, no_render: bool, out: Path | None, bags: tuple[Path | str, ...], **options: Any
+    path: Path | str,
+    no_render: bool,
+    out: Path | None,
+    bags: tuple[Path | str, ...],
+    against: Path | str | None,
+    **options: Any,
 ) -> None:  # fmt: skip
     r"""Find faults that spoil training data, in bags or in a dataset of any format, RoboXim's or another's.
 
@@ -53,22 +64,22 @@ def command(
     roboxim dataset audit runs/demos
     roboxim dataset audit runs/demos-rlds --bags runs/demos
 
-    PATH and --bags may be URLs. Checks that need ground truth need bags. The report is PATH-audit/report.html, with
-    audit.json beside it. The exit code is 1 when a fault was found or an episode cannot be read.
+    PATH, --bags and --against may be URLs. Checks that need ground truth need bags. With --out the report is
+    OUT/report.html, with audit.json beside it; without, nothing is written. The exit code is 1
+    when a fault was found or an episode cannot be read.
     """
     from roboxim_cli.printer import EventPrinter
-    from roboxim_core.errors import ConfigError
     from roboxim_datasets.audit.report import summary_line
     from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
-    from roboxim_runs.storage.store import is_url, local_sources
+    from roboxim_runs.storage.store import local_sources
 
-    if is_url(path) and out is None:
-        raise ConfigError(f"the audit of {path} needs a folder of this machine for its report: give --out")
-    with EventPrinter() as printer, local_sources([path, *bags]) as (local, *local_bags):
-        config = AuditConfig(render=not no_render, bags=tuple(local_bags), **options)
+    with EventPrinter() as printer, local_sources([path, *bags, *([against] if against else [])]) as (local, *others):
+        config = AuditConfig(render=not no_render, bags=tuple(others[: len(bags)]), **options)
+        if against:
+            config = replace(config, against=others[-1])
         audited = audit_dataset(local, out, config, on_event=printer)
     _print_checks(audited.result)
-    click.echo(f"{summary_line(audited.result)}: {audited.page}")
+    click.echo(summary_line(audited.result) + (f": {audited.page}" if audited.page else ""))
     if not audited.result.clean:
         raise SystemExit(1)
 

@@ -1,5 +1,31 @@
 """The checks, one file per family; importing this package registers them."""
 
-from roboxim_datasets.audit.checks import cameras, content, control, dataset, gripper, limits, motion, rotation, task, timing, visibility
+from roboxim_datasets.audit.checks import (
+    behaviour,
+    cameras,
+    content,
+    control,
+    dataset,
+    gripper,
+    limits,
+    motion,
+    rotation,
+    task,
+    timing,
+    visibility,
+)
 
-__all__ = ["cameras", "content", "control", "dataset", "gripper", "limits", "motion", "rotation", "task", "timing", "visibility"]
+__all__ = [
+    "behaviour",
+    "cameras",
+    "content",
+    "control",
+    "dataset",
+    "gripper",
+    "limits",
+    "motion",
+    "rotation",
+    "task",
+    "timing",
+    "visibility",
+]

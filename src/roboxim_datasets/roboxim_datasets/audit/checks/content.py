@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,9 @@ class Content(AuditCheck):
 
     def look(self, episode: AuditEpisode) -> Iterator[Finding]:
         """Compare everything."""
+        if episode.unexpected:
+            yield Finding(text=episode.unexpected, episodes=(episode.name,), ticks=(0,))
+            return
         if episode.expected is None:
             raise CannotCheckError(episode.no_expected)
         found, expected = episode.episode, episode.expected
@@ -70,7 +74,9 @@ class Content(AuditCheck):
             if values.shape == wanted.shape and same_bits(values, wanted):
                 continue
             if values.shape[1:] != wanted.shape[1:]:
-                yield Finding(text=f"{key} has {values.shape[1]} components, expected {wanted.shape[1]}", episodes=(name,))
+                yield Finding(
+                    text=f"{key} has {values.shape[1]} components, expected {wanted.shape[1]}", episodes=(name,)
+                )
                 continue
             count = min(len(values), len(wanted))
             bad = np.flatnonzero((values[:count] != wanted[:count]).any(axis=1))
@@ -87,7 +93,7 @@ class Content(AuditCheck):
                 series={f"{label}": tuple(values[:, component]), f"{label} expected": tuple(wanted[:, component])},
             )
 
-    def _guess(self, key: str, values: Floats, theirs: _Table, bad: Values) -> str:
+    def _guess(self, key: str, values: Floats, theirs: _Table, bad: Any) -> str:
         wanted = theirs.values[key]
         if key == "action" and values.tobytes() in self._known:
             return f"; likeliest: those of episode {self._known[values.tobytes()]}"

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
-from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding
+from roboxim_datasets.audit.values import AuditEpisode, Finding
 
 LIMIT_RAD = 0.01
 """Controllers overshoot a limit a little: by up to 4 mrad in 48 clean episodes of all skills."""

@@ -83,7 +83,7 @@ class Motion(AuditCheck):
             yield from _of_all(group, weights)
             residuals = [seen.chain.measured - predicted(seen.chain.asked, weights) for seen in group]
             for seen, rows in zip(group, residuals, strict=True):
-                rows[seen.limited] = 0.0
+                rows[seen.limited & _shortened(seen.chain, weights)] = 0.0
             lengths = [np.linalg.norm(rows, axis=1) for rows in residuals]
             typical = float(np.median([np.quantile(values, 0.99) for values in lengths]))
             for seen, rows, values in zip(group, residuals, lengths, strict=True):
@@ -100,6 +100,12 @@ def _limited(episode: AuditEpisode) -> Flags:
     speeds = np.abs(np.diff(episode.proprio["joint_positions"].astype(float), axis=0)) * rate
     fast = (speeds >= AT_LIMIT * arm.velocity).any(axis=1) & (speeds <= BEYOND * arm.velocity).all(axis=1)
     return np.asarray(fast)
+
+
+def _shortened(chain: Chain, weights: Values) -> Flags:
+    """Return in which steps the arm did not move much farther than it was asked to."""
+    asked = np.linalg.norm(predicted(chain.asked, weights), axis=1)
+    return np.asarray(np.linalg.norm(chain.measured, axis=1) <= 2 * asked + 5 * chain.tolerance)
 
 
 def _of_all(group: list[_Seen], weights: Values) -> Iterator[Finding]:
@@ -138,7 +144,9 @@ def _of_one(seen: _Seen, rows: Values, values: Values, most: float, weights: Val
     unit, per = chain.unit, chain.per_unit
     if len(bad):
         worst = int(values.argmax())
-        text = f"{values[worst] / per:.1f} {unit} at tick {worst}, more than expected in {len(bad)} of {len(values)} ticks"
+        text = (
+            f"{values[worst] / per:.1f} {unit} at tick {worst}, more than expected in {len(bad)} of {len(values)} ticks"
+        )
         ticks = (int(bad[0]), int(bad[-1]) + 1)
     else:
         worst = int(drift.argmax())
@@ -216,20 +224,24 @@ class Labels(AuditCheck):
 
 
 def _near(flags: Flags) -> Flags:
-    """Return flags of T - 1 steps for T ticks, and for the ticks after each: labels correct a shortened action there."""
+    """Return flags of T - 1 steps for T ticks, and those after each: labels correct a shortened action there."""
     found = np.r_[flags, False]
     for ticks in (1, 2, 3):
         found[ticks:] |= np.r_[flags, False][:-ticks]
     found[:-1] |= flags
     found[:-2] |= flags[1:]
-    return found
+    return np.asarray(found, bool)
 
 
 def _label_problem(chain: Chain, limited: Flags, *, planned: bool) -> tuple[str, Flags]:
     """Return what is wrong with the labels of a chain, and where; empty: nothing."""
     apart = np.linalg.norm(chain.apart, axis=1)
     differs = apart > 1e-2 * chain.per_unit
-    short = [run for run in runs_of(differs) if run[1] - run[0] + 1 < LEG and apart[slice(run[0], run[1] + 1)].max() > chain.tolerance]
+    short = [
+        run
+        for run in runs_of(differs)
+        if run[1] - run[0] + 1 < LEG and apart[slice(run[0], run[1] + 1)].max() > chain.tolerance
+    ]
     if short:
         start, end = short[0]
         bad = np.zeros(len(apart), bool)
@@ -281,7 +293,9 @@ class Joints(AuditCheck):
 
     title = "Joints and tool pose do not belong together"
     reason = "Units, order or signs of the joints are wrong, or joints and pose are of different times."
-    threshold = "the arm's kinematics place the tool over 1 mm from its recorded position; a joint 10 mrad beyond a limit"
+    threshold = (
+        "the arm's kinematics place the tool over 1 mm from its recorded position; a joint 10 mrad beyond a limit"
+    )
     needs = "joint positions of a robot that RoboXim knows; for the pose, the position of the tool in its base"
     order = 9
 
@@ -306,7 +320,8 @@ class Joints(AuditCheck):
         bad = np.flatnonzero(off > 1e-3)
         if len(bad):
             yield Finding(
-                text=f"the joints place the tool up to {1000 * off.max():.1f} mm from its recorded position, in {len(bad)} "
+                text=f"the joints place the tool up to {1000 * off.max():.1f} mm from its recorded position, in "
+                f"{len(bad)} "
                 f"of {len(off)} ticks, from tick {bad[0]} on",
                 episodes=(episode.name,), ticks=tuple(dict.fromkeys((int(bad[0]), int(bad[-1])))),
                 series={"joints and position differ [mm]": tuple(1000 * off)},

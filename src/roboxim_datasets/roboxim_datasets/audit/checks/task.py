@@ -79,6 +79,10 @@ class WrongInstruction(AuditCheck):
         if not said.strip():
             text = "the instruction is empty"
         elif episode.truth is not None and episode.truth.meaning is not None:
+            if not episode.truth.meaning.ever and episode.episode.success is False:
+                raise CannotCheckError(
+                    "the episode failed, so that its instruction is not carried out is no fault of it"
+                )
             if not episode.truth.meaning.ever:
                 text = f"'{said}' is true at no tick; {episode.truth.meaning.detail}"
         else:

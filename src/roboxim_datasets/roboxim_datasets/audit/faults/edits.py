@@ -242,7 +242,7 @@ class JointLimits(DatasetFault):
     """Joint positions in degrees."""
 
     title = "joint positions in degrees"
-    found_by = "joint_limits"
+    found_by = "kinematics"
 
     def edit(self, episode: EditableEpisode, others: Sequence[Episode], rng: np.random.Generator) -> str:
         """Convert radians to degrees."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.registry import Registry
-from roboxim_datasets.episode import Episode, Floats, RGBImage, Step, Wanted
+from roboxim_datasets.episode import Episode, Floats, MetaValue, RGBImage, Step, Wanted
 
 
 @dataclass(kw_only=True, eq=False)
@@ -34,6 +34,8 @@ class EditableEpisode:
     """Camera to T images."""
     rewards: Floats
     """Shape (T,)."""
+    metadata: Mapping[str, MetaValue] = field(default_factory=dict)
+    """Further metadata."""
 
     @staticmethod
     def of(episode: Episode) -> EditableEpisode:
@@ -52,6 +54,7 @@ class EditableEpisode:
             signals={name: np.stack([step.signals[name] for step in steps]) for name in steps[0].signals},
             images={camera: [step.images[camera] for step in steps] for camera in episode.cameras},
             rewards=np.array([step.reward for step in steps], np.float32),
+            metadata=episode.metadata,
         )
 
     def __len__(self) -> int:
@@ -90,8 +93,9 @@ class EditableEpisode:
                 )
 
         return replace(
-            self.episode, length=len(self), instruction=self.instruction, depth=(), segmentation=(), read=read
-        )
+            self.episode, length=len(self), instruction=self.instruction, metadata=self.metadata, depth=(),
+            segmentation=(), read=read,
+        )  # fmt: skip
 
 
 def _stacked(rows: Sequence[Floats | None]) -> Floats | None:

@@ -1,0 +1,103 @@
+"""What the episodes of an audited dataset should be: an export of their bags, or another dataset's episodes.
+
+The export's own code makes the expected values, in memory, with the settings that the dataset's ``export.json`` states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from roboxim_core.config import from_plain
+from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_datasets.dataset import Dataset
+from roboxim_datasets.episode import Episode
+from roboxim_recorder.bag import BagReader
+from roboxim_recorder.export.content import content_of
+from roboxim_recorder.export.convention_file import CONVENTION_FILE
+from roboxim_recorder.export.episodes import exported_episode
+from roboxim_recorder.export.registry import EXPORTERS
+from roboxim_recorder.export.selection import Selection, Source
+
+NO_SETTINGS = "the dataset does not say how it was exported (export.json), so its bags cannot be exported alike"
+NO_BAG = "none of the bags given is of this episode"
+NO_EPISODE = "the dataset given with --against has no such episode"
+
+
+@dataclass(kw_only=True, eq=False)
+class Expected:
+    """Finds the expected episode of each audited one."""
+
+    find: Callable[[Episode, str], Episode | None]
+    """Returns what an episode should be, by itself and its name (``split/index``); None: there is none."""
+    missing: str
+    """What is wrong with an episode that has no expected one."""
+    lossless: bool
+    """Whether images should be equal pixel by pixel."""
+    unclaimed: set[str] = field(default_factory=set)
+    """Expected episodes that no audited one has claimed yet."""
+
+
+def expected_of_bags(dataset: Dataset, bags: Mapping[str, list[Path]]) -> Expected | str:
+    """Return what an export of bags gives; a text: why that is not known.
+
+    Args:
+        dataset: The audited dataset.
+        bags: Episode id to its bags.
+    """
+    config = _settings(dataset)
+    if config is None:
+        return NO_SETTINGS
+    sources: dict[str, Source] = {}
+    for name, paths in bags.items():
+        for path in paths:
+            reader = BagReader(path)
+            sources.setdefault(name, Source(path=path, info=reader.info, result=reader.result))
+    if not sources:
+        return NO_BAG
+    try:
+        content = content_of(list(sources.values()), config)
+    except RoboximError as error:
+        return f"its bags cannot be exported with the settings of its export.json: {error}"
+    by_id = {source.info.episode_id: source for source in sources.values()}
+    wanted = {
+        name for name, source in by_id.items() if source.result.outcome == "success" or not config.only_successful
+    }
+
+    def find(episode: Episode, name: str) -> Episode | None:
+        source = by_id.get(episode.episode_id)
+        return None if source is None else exported_episode(source, content)
+
+    return Expected(find=find, missing=NO_BAG, lossless=dataset.features.lossless, unclaimed=wanted)
+
+
+def expected_of_dataset(dataset: Dataset, other: Dataset) -> Expected:
+    """Return what another dataset holds: the episode of the same id, or of the same place where there are no ids."""
+    places: dict[str, tuple[str, int]] = {}
+    for number in range(len(other)):
+        split, index = other.place(number)
+        places[f"{split}/{index}"] = places[other.read(split, index).episode_id or f"{split}/{index}"] = (split, index)
+
+    def find(episode: Episode, name: str) -> Episode | None:
+        place = places.get(episode.episode_id) or (None if episode.episode_id in places else places.get(name))
+        return None if place is None else other.read(*place)
+
+    return Expected(find=find, missing=NO_EPISODE, lossless=dataset.features.lossless and other.features.lossless)
+
+
+def _settings(dataset: Dataset) -> Selection | None:
+    """Return the settings of the export that a dataset comes from, also through conversions; None: it does not say."""
+    facts: Any = dataset.facts
+    while isinstance(facts, Mapping) and "config" not in facts:
+        sources = facts.get("sources") or [None]
+        facts = sources[0]
+    if not isinstance(facts, Mapping) or facts.get("format") not in EXPORTERS:
+        return None
+    try:
+        config: Selection = from_plain(facts["config"], EXPORTERS[facts["format"]]().config, source="export.json")
+    except (ConfigError, RoboximError):
+        return None
+    file = dataset.folder / CONVENTION_FILE
+    return replace(config, convention=str(file)) if config.convention and file.is_file() else config
