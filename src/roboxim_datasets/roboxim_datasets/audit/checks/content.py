@@ -18,8 +18,12 @@ from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Findin
 from roboxim_datasets.compare import same_bits
 from roboxim_datasets.episode import EXECUTED, Episode, Floats, Step
 
-CELL = 12.0
-"""Difference of a cell's mean brightness (0..255) that no codec makes."""
+BLOCKS = 8
+"""Blocks along each side of an image whose mean colours are compared: large enough to average a codec's errors."""
+BLOCK = 12.0
+"""Difference of a block's mean colour (0..255) that no codec makes."""
+LOWEST_DB = 26.0
+"""PSNR of an image below which no codec is to blame [dB]: h264 against JPEG at 64 x 64 px reaches 30 dB or more."""
 REMEMBERED = 2000
 """Episodes whose expected actions are remembered, to recognise them elsewhere."""
 
@@ -40,7 +44,8 @@ class Content(AuditCheck):
     reason = "Something changed the data after they were recorded: a policy learns the change."
     threshold = (
         "any number, text or length that is not equal, float32 bit for bit; any pixel where the format is lossless, "
-        f"else the mean brightness of a cell (1/32 of a side) that is off by more than {CELL:g} of 255"
+        f"else the mean colour of a block (1/{BLOCKS} of a side) off by more than {BLOCK:g} of 255, or a PSNR below "
+        f"{LOWEST_DB:g} dB"
     )
     needs = "the bags (--bags), which are exported again in memory, or another dataset (--against)"
     order = 0
@@ -189,7 +194,17 @@ def _differ(mine: Step, theirs: Step, camera: str, seen: Values, wanted: Values,
         return True
     if lossless:
         return not np.array_equal(mine.images[camera], theirs.images[camera])
-    return bool(np.abs(seen - wanted).max() > CELL)
+    mean = np.square(mine.images[camera].astype(np.float32) - theirs.images[camera]).mean()
+    too_noisy = mean > 255.0**2 / 10.0 ** (LOWEST_DB / 10.0)
+    return bool(too_noisy or np.abs(_blocks(seen) - _blocks(wanted)).max() > BLOCK)
+
+
+def _blocks(cells: Values) -> Values:
+    """Return the means of blocks of cells, shape (3, blocks, blocks)."""
+    rows, columns = (np.linspace(0, size, min(BLOCKS, size), endpoint=False).astype(int) for size in cells.shape[1:])
+    sums = np.add.reduceat(np.add.reduceat(cells, rows, axis=1), columns, axis=2)
+    counts = np.outer(np.diff(np.r_[rows, cells.shape[1]]), np.diff(np.r_[columns, cells.shape[2]]))
+    return np.asarray(sums / counts, np.float32)
 
 
 def _which(camera: str, ticks: list[int], seen: Mapping[str, list[Values]], wanted: Mapping[str, list[Values]]) -> str:
