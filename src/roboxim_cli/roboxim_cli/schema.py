@@ -24,7 +24,7 @@ KINDS = {
     "light": ("config/lights", "roboxim_core.vision.looks:Lighting"),
     "camera": ("config/cameras", "roboxim_core.vision.cameras:CameraConfig"),
     "object": ("config/objects", "roboxim_core.models.object_config:ObjectConfig"),
-    "robot": ("config/robots", "roboxim_core.models.library:RobotConfig"),
+    "robot": ("config/robots", "roboxim_core.models.description:RobotModel"),
     "convention": ("config/conventions", "roboxim_core.conventions.convention:Convention"),
     "response": ("config/responses", "roboxim_core.conventions.response:ControllerResponse"),
     "experiment": ("config/experiments", "roboxim_eval.experiments.config:ExperimentConfig"),

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from roboxim_cli import strict
+from roboxim_cli.options import option
 
 
 def _options(words: tuple[str, ...]) -> dict[str, Any]:
@@ -24,8 +25,8 @@ def _options(words: tuple[str, ...]) -> dict[str, Any]:
 @click.argument("environment")
 @click.option("--seeds", default=8, show_default=True, help="Number of seeds whose scenes are compared.")
 @click.option("--steps", default=20, show_default=True, help="Number of steps of a probe.")
-@click.option("--episodes", default=20, show_default=True, help="Number of whole episodes of each way to act.")
-@click.option("--limit", default=1000, show_default=True, help="Number of steps after which an episode is given up.")
+@option("episodes", default=20, help="Number of whole episodes of each way to act.")
+@click.option("--max-steps", "limit", default=1000, show_default=True, help="Steps after which an episode is given up.")
 @click.option(
     "--solver", default="", metavar="FILE.py:NAME",
     help="Function that returns a policy, a function of observation and instruction; for the checks of words, replay "
@@ -41,7 +42,7 @@ def command(
 
     \b
     roboxim audit-benchmark roboxim/PickCube-v0 --episodes 3
-    roboxim audit-benchmark gymnasium_robotics:FetchReach-v4 --limit 50
+    roboxim audit-benchmark gymnasium_robotics:FetchReach-v4 --max-steps 50
 
     ENVIRONMENT is a registered id, or MODULE:ID with the module that registers it. The exit code is 1 when a fault was
     found.

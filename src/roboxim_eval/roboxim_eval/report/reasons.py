@@ -36,6 +36,8 @@ EXPLANATIONS = {
     "carried": "The object was carried where it was to be pushed.",
     "lifted": "The object was lifted where it had to stay on the table.",
     "toppled": "The object fell over.",
+    "put_another_there": "Another object was put where only the named one belongs.",
+    "pushed_another_too": "Another object was pushed along with the named one.",
     "leans_on_something": "The object stands only because it leans on something.",
     "opened_other": "Another drawer was left open.",
     "pushed_off_table": "Another object fell off the table.",
