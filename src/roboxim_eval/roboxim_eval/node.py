@@ -114,7 +114,7 @@ class EvaluatorNode(RoboximNode):
             feedback.current, feedback.seq = current, seq
             goal.publish_feedback(feedback)
 
-        cancelled = self._telling(told, lambda: bool(goal.is_cancel_requested))
+        cancelled = self._with_progress(told, lambda: bool(goal.is_cancel_requested))
         with self.answering("evaluator/run_episodes", result):
             for episode in self._run(_config_of(goal.request), goal.request.indices, cancelled, goal):
                 message = to_msg(episode, EpisodeResultMsg)
@@ -139,9 +139,9 @@ class EvaluatorNode(RoboximNode):
             EvaluationError: When another run goes on.
             RoboximError: See `EpisodeRunner.run_index`.
         """
-        return list(self._run(config, indices, self._telling(told, cancelled)))
+        return list(self._run(config, indices, self._with_progress(told, cancelled)))
 
-    def _telling(self, told: Callable[[str, int], None], cancelled: Callable[[], bool]) -> Callable[[], bool]:
+    def _with_progress(self, told: Callable[[str, int], None], cancelled: Callable[[], bool]) -> Callable[[], bool]:
         """Return a function that tells whether to cancel, and the progress of the run from time to time."""
         last = 0.0
 

@@ -207,7 +207,7 @@ class Reporter:
 
 
 @contextmanager
-def telling_interruption(on_event: OnEvent, state: Callable[[], str]) -> Iterator[None]:
+def reporting_interruption(on_event: OnEvent, state: Callable[[], str]) -> Iterator[None]:
     """Report `Interrupted` when Ctrl-C or a cancellation ends the block; the exception still propagates.
 
     Args:

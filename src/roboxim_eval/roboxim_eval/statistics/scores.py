@@ -15,7 +15,7 @@ competence    u_seen - s_seen    different numbers of demonstrations a cell; a w
 ============  =================  ===============================================================================
 
 Substitution is the share of failed held-out episodes that satisfied another instruction of the training. Where no scene
-allows one it is always 0; `roboxim_runs.experiments.told_by_scene` says so, by the task files.
+allows one it is always 0; `roboxim_runs.experiments.scene_leakage` says so, by the task files.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ from roboxim_runs.events import (
     StageProgress,
     StageStarted,
     ignore,
-    telling_interruption,
+    reporting_interruption,
 )
 from roboxim_runs.executors import Cancellation, CancelledError
 from roboxim_runs.storage.folder import checked_path
@@ -135,7 +135,7 @@ def audit_dataset(
     total, entries, expected = _entries(path, config)
     auditor, pictures = Auditor(config.checks), _Pictures(config.pictures if out is not None else 0)
     sources: dict[str, str] = {}
-    with ExitStack() as stack, telling_interruption(on_event, lambda: "the same call or command starts again"):
+    with ExitStack() as stack, reporting_interruption(on_event, lambda: "the same call or command starts again"):
         ports = _ports(config, stack)
         on_event(StageStarted(title="auditing", total=total, unit="episodes"))
         for done, entry in enumerate(entries, start=1):

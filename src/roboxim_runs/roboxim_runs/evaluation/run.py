@@ -140,7 +140,7 @@ def evaluate(
             with _served(policy, servers if there < len(job.indices) else ()) as served:
                 results = run_episodes(
                     job, f"rollouts of {policy.name}", environment, cancellation=cancellation, executor=executor,
-                    on_event=served.telling(on_event) if served else on_event, repair=config.repair,
+                    on_event=served.with_notices(on_event) if served else on_event, repair=config.repair,
                     prepare=served.prepared if served else unchanged,
                 )  # fmt: skip
             if there < len(job.indices) and policy.files(out) != job.policy_files:

@@ -21,7 +21,7 @@ from roboxim_eval.benchmark.config import BenchmarkConfig, benchmark_config, exp
 from roboxim_eval.experiments import Design, ExperimentConfig, design_of, experiment_config, mix_of
 from roboxim_eval.experiments.config import FULL
 from roboxim_eval.experiments.design import require_different
-from roboxim_eval.experiments.proving.telling import PARTS, differing, undistinguished
+from roboxim_eval.experiments.proving.cells_apart import PARTS, differing, undistinguished
 from roboxim_eval.experiments.reductions import reductions
 from roboxim_eval.experiments.trainers import TRAINERS, TrainerConfig, trainer_config
 from roboxim_runs.experiments.delivery.demands import demands_in

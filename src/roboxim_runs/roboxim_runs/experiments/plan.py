@@ -8,7 +8,7 @@ from typing import Any
 
 from roboxim_eval.experiments import Cost, Design, Rates, cost_of
 from roboxim_eval.experiments.cost import detectable_drop, same_checkpoints, trainings_at_once
-from roboxim_runs.experiments.told_by_scene import told_by_scene
+from roboxim_runs.experiments.scene_leakage import scene_leakage
 
 NO_RATES = (
     "unknown: no rates of this machine were measured; 'roboxim experiment calibrate' measures them in a few minutes"
@@ -69,7 +69,7 @@ def plan_lines(name: str, scale: str, design: Design, rates: Rates | None, train
                 f"{rates.steps_per_s:.1f} alone; of {rate.measured}: {rate.source}"
             )
     yield from _power_lines(design)
-    yield from (f"  warning         {sentence}" for sentence in told_by_scene(design))
+    yield from (f"  warning         {sentence}" for sentence in scene_leakage(design))
     yield from (f"  deviation       {sentence}" for sentence in config.deviations)
 
 
@@ -191,5 +191,5 @@ def plan_data(name: str, scale: str, design: Design, rates: Rates | None, traini
         "hours": None if cost is None else cost.total_s / 3600,
         "rollouts_taken_as_successful": None if cost is None else cost.succeeded,
         "disk_bytes": None if cost is None else cost.disk_bytes,
-        "warnings": list(told_by_scene(design)),
+        "warnings": list(scene_leakage(design)),
     }

@@ -31,7 +31,7 @@ from roboxim_runs.experiments.card import (
     stage_name,
 )
 from roboxim_runs.experiments.files import checked_design
-from roboxim_runs.experiments.told_by_scene import told_by_scene
+from roboxim_runs.experiments.scene_leakage import scene_leakage
 from roboxim_runs.experiments.trained.policies import policy_of
 from roboxim_runs.policies.specs import PolicySpec
 
@@ -163,7 +163,7 @@ def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int 
                 shown[int(number)] = film_strip(frames)
     page = experiment_page(ExperimentPage(
         card=card, episodes=episodes, checkpoints=checkpoint_episodes(folder), films=shown,
-        command=reproduction(folder), warnings=told_by_scene(folder.design), place=_place(folder),
+        command=reproduction(folder), warnings=scene_leakage(folder.design), place=_place(folder),
     ))  # fmt: skip
     path = folder.path / REPORT_FILE
     write_whole(path, page)
@@ -181,7 +181,7 @@ def _place(folder: ExperimentFolder) -> Place | None:
 def card_warnings(card: Card) -> tuple[str, ...]:
     """Return what weakens a card's results besides its own warnings, by the task files here; none without them."""
     try:
-        return told_by_scene(design_of_card(card))
+        return scene_leakage(design_of_card(card))
     except ConfigError:
         return ()
 

@@ -65,8 +65,8 @@ from roboxim_runs.experiments.report import (
     write_card,
     write_experiment_report,
 )
+from roboxim_runs.experiments.scene_leakage import scene_leakage
 from roboxim_runs.experiments.stages import PROOF_FILE, Stages
-from roboxim_runs.experiments.told_by_scene import told_by_scene
 from roboxim_runs.experiments.trained.policies import (
     is_named,
     named_policies,
@@ -193,7 +193,7 @@ def run_experiment(
     design = checked_design(config.experiment, experiment, config.trainer)
     if experiment.curve is not None and not design.trainer.until:
         on_event(Notice(text="the trainer does not end at checkpoints (until), so there is no learning curve"))
-    for sentence in told_by_scene(design):
+    for sentence in scene_leakage(design):
         on_event(Notice(text=sentence))
     with KeptProcesses() as kept:
         run = _Run(config, design, on_event, cancellation, executor, kept)

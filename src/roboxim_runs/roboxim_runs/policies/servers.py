@@ -79,7 +79,7 @@ class PolicyServers:
             thread.join()
         self._stack.close()
 
-    def telling(self, on_event: OnEvent) -> OnEvent:
+    def with_notices(self, on_event: OnEvent) -> OnEvent:
         """Return a receiver of events that is also told what happened to the servers, in its own thread."""
 
         def tell(event: Event) -> None:

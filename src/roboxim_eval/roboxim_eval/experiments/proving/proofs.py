@@ -12,6 +12,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from roboxim_eval.experiments.proving.cells_apart import belongs_to, distinguishing_checks
 from roboxim_eval.experiments.proving.changes import (
     SAME_M,
     Change,
@@ -31,7 +32,6 @@ from roboxim_eval.experiments.proving.delivery import (
     faults_of,
     hidden_distractors,
 )
-from roboxim_eval.experiments.proving.telling import belongs_to, telling_checks
 
 PROOF_OF_TRAINING = "trained_on"
 """Check of a training, not of an episode: it read the export that the experiment gave it."""
@@ -319,7 +319,7 @@ def training_tally(
 ) -> Tally:
     """Check a training dataset against the cells that it may have.
 
-    An episode that is one of a held-out cell by its content is a fault, whatever cell it claims, see `telling_checks`.
+    An episode whose content is that of a held-out cell is a fault, whatever cell it claims (`distinguishing_checks`).
 
     Args:
         demands: All cells of the experiment with what they demand.
@@ -329,11 +329,11 @@ def training_tally(
     """
     closed = [cell for cell in unseen if cell not in counts]
     others = [demand for cell, demand in demands.items() if cell not in closed]
-    telling = {cell: telling_checks(demands[cell], others) for cell in closed}
+    distinguishing = {cell: distinguishing_checks(demands[cell], others) for cell in closed}
     faults: list[Fault] = []
     leaks = 0
     for episode in episodes:
-        if text := _leak(episode, demands, telling):
+        if text := _leak(episode, demands, distinguishing):
             leaks += 1
             faults.append(Fault(check="unseen", bag=episode.shown.bag, text=text))
     found = Counter(episode.shown.cell for episode in episodes)

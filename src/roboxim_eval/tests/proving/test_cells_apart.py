@@ -5,8 +5,15 @@ from dataclasses import replace
 import pytest
 
 from roboxim_core.poses import Pose
+from roboxim_eval.experiments.proving.cells_apart import (
+    APART,
+    OF_CELLS,
+    PARTS,
+    differing,
+    distinguishable,
+    distinguishing_checks,
+)
 from roboxim_eval.experiments.proving.delivery import CHECKS, Allowed, Demand, View, gap
-from roboxim_eval.experiments.proving.telling import APART, OF_CELLS, PARTS, differing, telling_checks, told_apart
 
 
 def words(*values):
@@ -99,39 +106,39 @@ def test_demands_that_exclude_each_other_tell_cells_apart(check, other):
     elsewhere = replace(CELL, **other)
     assert [name for name, apart in APART.items() if apart(elsewhere, CELL)] == [check]
     assert [name for name, apart in APART.items() if apart(CELL, elsewhere)] == [check]
-    assert told_apart(CELL, elsewhere)
+    assert distinguishable(CELL, elsewhere)
     assert check in differing(CELL, elsewhere)
 
 
 @pytest.mark.parametrize(("check", "other"), SHARED_BY)
 def test_demands_that_merely_differ_do_not(check, other):
     elsewhere = replace(CELL, **other)
-    assert not told_apart(CELL, elsewhere)
-    assert not told_apart(elsewhere, CELL)
+    assert not distinguishable(CELL, elsewhere)
+    assert not distinguishable(elsewhere, CELL)
     assert differing(CELL, elsewhere) == (check,)
 
 
 def test_a_camera_that_the_other_cell_lacks_tells_its_cell():
     both = replace(CELL, cameras={**CELL.cameras, "wrist": (view(0.0, parent="gripper"),)})
-    assert told_apart(both, CELL)
-    assert not told_apart(CELL, both), "what a cell has beside the demanded cameras is no fault"
+    assert distinguishable(both, CELL)
+    assert not distinguishable(CELL, both), "what a cell has beside the demanded cameras is no fault"
 
 
 def test_distractors_that_every_scene_has_say_nothing_about_the_drawn_ones():
     cell = replace(CELL, distractors=(1, 3), always=("plate",))
     other = replace(cell, others={"lemon": {}})
-    assert not told_apart(cell, other), "both may have the plate alone"
-    assert told_apart(replace(cell, distractors=(2, 3)), other)
-    assert not told_apart(replace(cell, **FREE, always=()), replace(CELL, **FREE))
+    assert not distinguishable(cell, other), "both may have the plate alone"
+    assert distinguishable(replace(cell, distractors=(2, 3)), other)
+    assert not distinguishable(replace(cell, **FREE, always=()), replace(CELL, **FREE))
 
 
 def test_cells_are_told_apart_by_skill_object_area_and_camera_where_they_can_be():
     dark = replace(CELL, **look(light_intensity=span(2.1, 3.0)))
     turned, elsewhere = replace(dark, skill="rotate"), replace(CELL, start=box((0.4, 0.5), (0.3, 0.4), (0.3, 0.4)))
-    assert telling_checks(CELL, [turned]) == OF_CELLS
-    assert telling_checks(CELL, [turned, dark]) == (*OF_CELLS, "light")
-    assert telling_checks(CELL, [dark, elsewhere]) == (*OF_CELLS, "start", "light")
-    assert telling_checks(CELL, [replace(dark, templates=("Lift it",))]) == (*OF_CELLS, "light", "instruction")
+    assert distinguishing_checks(CELL, [turned]) == OF_CELLS
+    assert distinguishing_checks(CELL, [turned, dark]) == (*OF_CELLS, "light")
+    assert distinguishing_checks(CELL, [dark, elsewhere]) == (*OF_CELLS, "start", "light")
+    assert distinguishing_checks(CELL, [replace(dark, templates=("Lift it",))]) == (*OF_CELLS, "light", "instruction")
 
 
 def test_every_check_of_what_a_cell_demands_is_known_here():

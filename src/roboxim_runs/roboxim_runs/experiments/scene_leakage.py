@@ -21,7 +21,7 @@ from roboxim_tasks.sampling.placement import PlacementConfig
 from roboxim_tasks.task_config import TaskConfig
 
 
-def told_by_scene(design: Design) -> tuple[str, ...]:
+def scene_leakage(design: Design) -> tuple[str, ...]:
     """Return a sentence for each thing that the scenes of an experiment tell; empty: none of these.
 
     Args:

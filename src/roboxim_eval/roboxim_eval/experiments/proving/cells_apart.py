@@ -45,13 +45,13 @@ def belongs_to(demand: Demand, shown: Shown, checks: Iterable[str] = OF_CELLS) -
     Args:
         demand: What the cell demands.
         shown: What the episode's bag shows.
-        checks: Checks that it must pass, see `telling_checks`.
+        checks: Checks that it must pass, see `distinguishing_checks`.
     """
     plain = replace(shown, tool_px={}, pixels={}, colors={}, brightness={}, weights={})
     return not any(any(CHECKS[name](demand, plain)) for name in checks)
 
 
-def telling_checks(held_out: Demand, others: Iterable[Demand]) -> tuple[str, ...]:
+def distinguishing_checks(held_out: Demand, others: Iterable[Demand]) -> tuple[str, ...]:
     """Return the checks by which an episode is one of a held-out cell: no episode of the other cells passes all.
 
     Skill, arm, object, area and camera are among them in any case. The others are, where these alone do not tell the
@@ -68,7 +68,7 @@ def telling_checks(held_out: Demand, others: Iterable[Demand]) -> tuple[str, ...
     return (*OF_CELLS, *(name for name in APART if name in needed and name not in OF_CELLS))
 
 
-def told_apart(held_out: Demand, other: Demand) -> bool:
+def distinguishable(held_out: Demand, other: Demand) -> bool:
     """Return whether there is a check that no episode of another cell passes for a held-out one."""
     return any(apart(held_out, other) for apart in APART.values())
 
@@ -227,5 +227,5 @@ def undistinguished(
     others = tuple(others)
     for cell in held_out:
         for other in others:
-            if not told_apart(demands[cell], demands[other]):
+            if not distinguishable(demands[cell], demands[other]):
                 yield cell, other

@@ -7,7 +7,7 @@ from roboxim_core.seeds import SeedPath
 from roboxim_eval.experiments import design_of, mix_of
 from roboxim_eval.testing import shipped
 from roboxim_runs.experiments.files import load_experiment
-from roboxim_runs.experiments.told_by_scene import told_by_scene
+from roboxim_runs.experiments.scene_leakage import scene_leakage
 from roboxim_tasks.config import task_mix
 from roboxim_tasks.meaning import read_instruction
 from roboxim_tasks.sampling.episodes import EpisodeGenerator
@@ -45,7 +45,7 @@ TOLD = {
 
 @pytest.mark.parametrize("name", TOLD)
 def test_scenes_tell_object_and_task_where_words_are_not_needed(name):
-    assert told_by_scene(shipped(name)) == TOLD[name]
+    assert scene_leakage(shipped(name)) == TOLD[name]
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_scenes_tell_object_and_task_where_words_are_not_needed(name):
 )
 def test_where_no_other_instruction_can_be_carried_out_substitution_says_nothing(name, scale, said):
     design = design_of(load_experiment(name, scale))
-    assert [one for one in told_by_scene(design) if "substitution" in one] == ([said] if said else [])
+    assert [one for one in scene_leakage(design) if "substitution" in one] == ([said] if said else [])
     # as episodes are judged again: training instructions are read in scenes of held-out cells
     generator, library = EpisodeGenerator(ModelLibrary()), ModelLibrary()
 
@@ -81,15 +81,15 @@ def test_where_no_other_instruction_can_be_carried_out_substitution_says_nothing
 def test_other_arguments_of_the_same_task_are_another_instruction():
     task = {"rotate": {"arguments": {"direction": {"values": ["clockwise"]}}}}
     one = {"factors": {"task": task}, "set": {"distractors": {"minimum": 0, "maximum": 0}}}
-    assert NEVER in told_by_scene(design_of(load_experiment("camera_object", changes=one)))
+    assert NEVER in scene_leakage(design_of(load_experiment("camera_object", changes=one)))
     directions = {"values": ["clockwise", "counter-clockwise"]}
     both = {"factors": {"task": {"rotate": {"arguments": {"direction": directions}}}}}
-    assert NEVER not in told_by_scene(design_of(load_experiment("camera_object", changes=both)))
+    assert NEVER not in scene_leakage(design_of(load_experiment("camera_object", changes=both)))
 
 
 def test_a_distractor_may_be_what_another_instruction_names():
     some = {"set": {"distractors": {"minimum": 1, "maximum": 1}}}
-    said = told_by_scene(design_of(load_experiment("camera_object", changes=some)))
+    said = scene_leakage(design_of(load_experiment("camera_object", changes=some)))
     assert not any("substitution" in one for one in said)
 
 
@@ -99,7 +99,7 @@ WORDED = ("skill_object_worded", "camera_object_worded", "camera_skill_worded")
 @pytest.mark.parametrize("name", WORDED)
 def test_scenes_tell_by_places_where_distractors_lie_farther_out(name):
     area = {"area": {"lower": [0.30, -0.30], "upper": [0.74, 0.30]}}
-    (said,) = told_by_scene(design_of(load_experiment(name, changes={"set": {"reset": {"distractors": area}}})))
+    (said,) = scene_leakage(design_of(load_experiment(name, changes={"set": {"reset": {"distractors": area}}})))
     assert "may lie outside the area of the objects that tasks name" in said
 
 
