@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Container images often set this variable. Without compiled modules each process of a run starts a second later.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-slow fuzz format lint types docs colcon verify-conventions verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals release lock clean clean-all
+.PHONY: help setup demo test test-thorough test-slow fuzz format lint types docs colcon verify-conventions verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals release lock clean clean-all
 
 help: ## list the commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
@@ -19,8 +19,11 @@ setup: ## install everything into this checkout (.tools/, .venv/); PYTHON=... ch
 demo: setup ## run the main job: generate, record, export, train, evaluate; ARGS="..." adds options
 	@$(BIN)/roboxim demo $(ARGS)
 
-test: setup ## run the default tests (all but those marked slow, fuzz or gpu), one process a core; ARGS="-k name" adds options
+test: setup ## run the default tests (not those marked thorough, slow, fuzz or gpu), one process a core; ARGS="-k name" adds options
 	$(BIN)/pytest -n logical --maxprocesses 4 --dist loadfile $(ARGS)
+
+test-thorough: setup ## run the tests marked thorough, which CI runs after the default ones
+	$(BIN)/pytest -n logical --maxprocesses 4 -m "thorough and not gpu" $(ARGS)
 
 test-slow: setup ## run the tests marked slow
 	$(BIN)/pytest -m "slow and not gpu" $(ARGS)

@@ -4,6 +4,7 @@ import ast
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -41,12 +42,20 @@ def modules(package):
     return sorted(path for path in root.rglob("*.py"))
 
 
+@cache
+def parsed(path):
+    return ast.parse(path.read_text())
+
+
+@cache
 def imports_of(path):
-    for node in ast.walk(ast.parse(path.read_text())):
+    names = []
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            yield node.module
+            names.append(node.module)
+    return names
 
 
 @pytest.mark.parametrize("package", sorted(ALLOWED))
@@ -65,7 +74,7 @@ def module_name(path, package):
 
 def imported_anywhere(path, names):
     """Yield the modules of a package that a module names anywhere: at its top, inside functions, for type checkers."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -150,7 +159,7 @@ def test_every_callback_of_a_node_is_guarded():
     raw = {"create_service", "create_subscription", "create_timer", "ActionServer", "Node"}
     for package in (f"roboxim_{room}" for room in ROOMS):
         for path in modules(package):
-            for node in ast.walk(ast.parse(path.read_text())):
+            for node in ast.walk(parsed(path)):
                 if not isinstance(node, ast.Call):
                     continue
                 name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
@@ -158,7 +167,7 @@ def test_every_callback_of_a_node_is_guarded():
                 assert name not in raw or (of_node and name == "create_subscription"), (
                     f"{path.relative_to(SRC)}:{node.lineno} calls {name}; use RoboximNode.serve, hear or serve_action"
                 )
-            for node in ast.walk(ast.parse(path.read_text())):
+            for node in ast.walk(parsed(path)):
                 if isinstance(node, ast.ClassDef):
                     bases = {ast.unparse(base).rpartition(".")[2] for base in node.bases}
                     assert "Node" not in bases, f"{path.relative_to(SRC)}: {node.name} must derive from RoboximNode"
@@ -176,7 +185,7 @@ def test_error_codes_are_mirrored():
 def test_only_the_command_imports_the_studio_and_only_when_it_runs():
     """Its libraries cost time to import, and no run may depend on a page."""
     importers = {
-        path.relative_to(SRC): ast.parse(path.read_text())
+        path.relative_to(SRC): parsed(path)
         for package in ALLOWED
         if package != "roboxim_studio"
         for path in modules(package)
@@ -209,6 +218,14 @@ def test_only_the_video_worker_imports_pyav():
     name = "roboxim_datasets.video.worker"
     users = [path for package in ALLOWED for path in modules(package) if name in imports_of(path)]
     assert not users
+
+
+def test_no_module_imports_an_optional_package_when_it_is_imported():
+    for path in SRC.glob("roboxim*/roboxim*/**/*.py"):
+        for node in parsed(path).body:
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not {name.partition(".")[0] for name in names} & {"ray", "fsspec", "s3fs"}, path
 
 
 def test_commands_are_made_by_strict_which_refuses_options_given_twice():

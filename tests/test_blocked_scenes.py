@@ -16,6 +16,7 @@ from roboxim_tasks.demonstration.expert import Expert
 
 
 @pytest.mark.parametrize("task", ["pick_up_blocked", "place_on_blocked"])
+@pytest.mark.thorough
 def test_the_expert_goes_around_and_straight_lines_disturb_the_row(task, tmp_path):
     data = yaml.safe_load(task_text(task))
     data["reset"]["cameras"] = {"names": []}

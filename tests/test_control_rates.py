@@ -22,6 +22,7 @@ def at_rate(rate_hz: float) -> str:
 @pytest.mark.parametrize(
     "rate_hz", [5.0, 20.0, pytest.param(10.0, marks=pytest.mark.slow), pytest.param(15.0, marks=pytest.mark.slow)]
 )
+@pytest.mark.thorough
 def test_a_demonstration_at_the_tasks_rate_succeeds(rate_hz, tmp_path):
     config = RunConfig(
         run_seed=1, purpose="demo", task_config=at_rate(rate_hz), image_width=32, image_height=32,

@@ -104,6 +104,7 @@ def expert_act(expert, rng=None):
 
 
 @pytest.mark.parametrize("noisy", [False, True], ids=["clean", "noisy"])
+@pytest.mark.thorough
 def test_the_expert_picks_every_cube_at_its_first_try(world, generator, expert, noisy):
     for index in range(10 * noisy, 10 * noisy + 10):
         seed, drawn = draw(generator, index)

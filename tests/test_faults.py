@@ -157,6 +157,7 @@ def test_a_policy_of_another_rate_than_the_run_asks_for_is_refused_before_the_fi
 
 
 @pytest.mark.parametrize("older_frame", [False, True])
+@pytest.mark.thorough
 def test_a_missing_image_is_named_and_never_replaced_by_an_older_frame(graph, policy, run, monkeypatch, older_frame):
     """The evaluator takes images from topics here, as that of another process does."""
     publisher = graph["sim"]._publisher
@@ -196,6 +197,7 @@ def test_a_missing_image_is_named_and_never_replaced_by_an_older_frame(graph, po
 
 
 @pytest.mark.parametrize("where", ["write", "finish"])
+@pytest.mark.thorough
 def test_a_full_disk_ends_the_run_and_leaves_nothing_half_written(run, tmp_path, monkeypatch, where):
     original, calls = getattr(McapFile, where), []
 

@@ -29,6 +29,7 @@ def fuzz(folder, *, rounds, seconds, seed):
         return report
 
 
+@pytest.mark.thorough
 def test_requests_at_random_are_answered(tmp_path):
     report = fuzz(tmp_path, rounds=1, seconds=5.0, seed=1)
     assert sum(sum(answers.values()) for answers in report.answers.values()) > 0

@@ -60,6 +60,7 @@ class Velocities(BasePolicy):
 
 
 @pytest.mark.parametrize("mode", MODES)
+@pytest.mark.thorough
 def test_the_experts_joint_motion_succeeds_and_is_recorded_replayed_and_exported(demonstration, mode, tmp_path):
     task, bag = demonstration
     measured = mode.startswith("measured")

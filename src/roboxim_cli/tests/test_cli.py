@@ -236,6 +236,7 @@ def test_a_refusal_of_the_simulation_interfaces_is_an_error(small):
         roboxim("service", "call", "/delete_entity", "{entity: ghost}")
 
 
+@pytest.mark.thorough
 def test_topics(small):
     assert {"/greeting", "/steady"} <= set(roboxim("topic", "list").split())
     assert roboxim("topic", "type", "/greeting").strip() == "std_msgs/msg/String"
@@ -307,6 +308,7 @@ def test_actions(small):
 
 
 @pytest.mark.ros
+@pytest.mark.thorough
 def test_nodes(small):
     assert roboxim("node", "list").split() == ["/small"]
     text = roboxim("node", "info", "/small")

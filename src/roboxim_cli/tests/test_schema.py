@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -57,9 +58,14 @@ def misfit(schema: dict[str, Any], value: Any, defs: dict[str, Any], where: str 
     return ""
 
 
+@cache
+def schema_of(kind: str) -> dict[str, Any]:
+    return json_schema(schema_class(kind))
+
+
 @pytest.mark.parametrize(("kind", "path"), FILES, ids=lambda value: value if isinstance(value, str) else value.stem)
 def test_every_file_keeps_to_its_schema(kind, path):
-    schema = json_schema(schema_class(kind))
+    schema = schema_of(kind)
     content = yaml.safe_load(path.read_text())
     if kind == "experiment":
         content.pop("scales", None)

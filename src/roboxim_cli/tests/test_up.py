@@ -68,6 +68,7 @@ def _state(pid):
         return "Z"
 
 
+@pytest.mark.thorough
 def test_killed_child_is_started_again_and_killed_parent_leaves_no_orphan(up):
     one = up("--processes", "--only", "recorder", "--policy", "zero")
     before = find_run().pids
@@ -83,6 +84,7 @@ def test_killed_child_is_started_again_and_killed_parent_leaves_no_orphan(up):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.thorough
 def test_signal_ends_everything_in_order(up, number):
     one = up("--only", "recorder")
     one.process.send_signal(number)
@@ -107,6 +109,7 @@ def test_detached_graph_is_ended_by_down(runtime):
         (["--processes", "-p", "recorder:nonsense:=1"], "no parameter 'nonsense'"),
     ],
 )
+@pytest.mark.thorough
 def test_wrong_configuration_ends_it_before_it_is_up(runtime, options, complaint):
     done = subprocess.run(
         command("up", "--only", "recorder", *options), capture_output=True, text=True, check=False, timeout=PATIENCE_S
@@ -116,6 +119,7 @@ def test_wrong_configuration_ends_it_before_it_is_up(runtime, options, complaint
     assert live_runs() == []
 
 
+@pytest.mark.thorough
 def test_nodes_started_one_by_one_make_one_run(runtime):
     first = subprocess.Popen(command("node", "recorder"), stdout=subprocess.PIPE, text=True)
     second = None

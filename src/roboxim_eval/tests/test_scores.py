@@ -55,6 +55,7 @@ def exactly(rate, *, replicates=5, each=20, cells=HELD_OUT):
 
 
 @pytest.mark.parametrize("replicates", [3, 5])
+@pytest.mark.thorough
 def test_equal_conditions_seldom_differ_although_trainings_do(replicates):
     rng = np.random.default_rng(replicates)
     alarms = pooled = 0

@@ -83,6 +83,7 @@ def first_action(policy: BCPolicy, demonstration: Demonstration, instruction: st
     return answer[0]
 
 
+@pytest.mark.thorough
 def test_it_learns_to_follow_the_named_colour(trained):
     folder, reports = trained
     assert reports[-1].step == CONFIG.steps
@@ -99,6 +100,7 @@ def test_it_learns_to_follow_the_named_colour(trained):
     assert right >= 44  # of 48: the word decides
 
 
+@pytest.mark.thorough
 def test_what_never_moves_stays_exactly_still(trained):
     action = first_action(BCPolicy(trained[0]), episode(np.random.default_rng(5), "red"), "Pick up the red cube")
     assert action[1:6].tolist() == [0.0] * 5
@@ -352,6 +354,7 @@ def drawn(data: Demonstrations, config: BCConfig, batch: np.ndarray):
     return samples.draw(jnp.asarray(batch), augmentation(config, ("wrist",), 0, len(batch)), config)
 
 
+@pytest.mark.thorough
 def test_empty_gripper_is_taught_to_open_and_rise_before_a_grasp_only():
     data = assembled(held_episode(), held_episode())
     config = replace(CONFIG, retry=1.0, position_noise_m=0.0, opening_noise=0.0)
@@ -365,6 +368,7 @@ def test_empty_gripper_is_taught_to_open_and_rise_before_a_grasp_only():
     assert not np.all(wanted.motion[0, :, 2] > 0)
 
 
+@pytest.mark.thorough
 def test_noise_never_makes_a_held_object_look_lost():
     data = assembled(*[held_episode()] * 4)
     config = replace(CONFIG, retry=0.0, opening_noise=5.0)
@@ -394,6 +398,7 @@ def test_the_instruction_modulates_as_many_convolutions_as_configured(film, outp
         replace(CONFIG, film=3)
 
 
+@pytest.mark.thorough
 def test_errors_on_held_out_demonstrations_are_in_units_that_a_user_knows(trained):
     rng = np.random.default_rng(7)
     others = assemble(

@@ -171,6 +171,7 @@ def test_bad_configurations_are_refused(options):
         ExportConfig(**options)
 
 
+@pytest.mark.thorough
 def test_processes_write_the_same_bytes_and_a_dead_one_costs_nothing(run, tmp_path, monkeypatch):
     monkeypatch.setattr("roboxim_datasets.rlds.dataset.RldsWriter", small_shards())
     config = ExportConfig(actions="end_effector_absolute,rotation_6d", image_width=32, image_height=24)

@@ -101,6 +101,7 @@ with NodeHost(domain_id=int(sys.argv[1])) as host:
 """
 
 
+@pytest.mark.thorough
 def test_call_to_a_killed_process_ends_before_its_timeout():
     with (
         free_domain() as domain,

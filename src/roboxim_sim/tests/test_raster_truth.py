@@ -242,6 +242,7 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
 
 
+@pytest.mark.thorough
 def test_a_forked_child_is_refused_instead_of_hanging(raster: RasterRenderer) -> None:
     done = subprocess.run(
         [sys.executable, "-c", FORKED, str(Path(__file__).parent)],

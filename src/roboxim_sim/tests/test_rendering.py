@@ -246,6 +246,7 @@ def digest_of_the_example(renderer: Renderer) -> str:
     return digest(renderer.render(poses, [(camera(), EYE)]))
 
 
+@pytest.mark.thorough
 def test_another_process_and_thread_count_give_the_same_bits(renderer: Renderer) -> None:
     assert in_a_process("digest_of_the_example", renderer.name) == digest_of_the_example(renderer)
 
@@ -384,6 +385,7 @@ def growth_while_reopening(renderer: Renderer) -> float:
 # In separate processes: memory that other tests' threads keep or free would be counted here.
 
 
+@pytest.mark.thorough
 def test_memory_stays_flat(renderer: Renderer) -> None:
     assert float(in_a_process("growth_while_rendering", renderer.name)) < 6.0
 

@@ -31,6 +31,7 @@ def corners(markers: list[Marker]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("robot", ["panda", "ur5"])
+@pytest.mark.thorough
 def test_every_shape_is_in_a_frame_that_tf_has(robot):
     cabinet = EntitySpec(name="cabinet", model="cabinet", pose=Pose(position=(0.6, 0.2, 0.1)), fixed=True)
     with World() as world:

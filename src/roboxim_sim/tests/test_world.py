@@ -342,6 +342,7 @@ def test_loading_ends_a_motion(world: World) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
+@pytest.mark.thorough
 def test_simple_waypoints_pick_a_cube_anywhere(world: World, seed: int) -> None:
     before = world.load(cubes(seed, 1 + seed % 3), "e")
     record = pick(world, "cube_0")

@@ -86,6 +86,7 @@ def test_an_episode_that_is_cut_off_is_set_apart_and_whole(lab, bag, tmp_path):
     assert next_index(tmp_path, SEED) == 1
 
 
+@pytest.mark.thorough
 def test_driving_in_the_page_with_held_keys(studio, chromium, tmp_path):
     studio.drive.bags = tmp_path
     studio.open_task("pick_cube").result(timeout=120)

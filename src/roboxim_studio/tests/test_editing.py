@@ -131,6 +131,7 @@ def test_a_task_is_drawn_edited_and_solved_by_the_expert(studio):
     assert studio.editor.desk.scene == second.scene
 
 
+@pytest.mark.thorough
 def test_dragging_the_gizmo_in_the_page_moves_the_simulated_object(studio, editor, chromium):
     chromium.open(studio.url)
     chromium.wait("document.documentElement.dataset.studioConnected === 'true'")

@@ -5,6 +5,7 @@ import pytest
 from roboxim_studio.browser import Browser
 
 
+@pytest.mark.thorough
 def test_scrubbing_in_the_page_moves_the_server_and_asks_nobody_else(studio, bag, chromium):
     film = studio.open_bag(bag)
     chromium.open(studio.url)

@@ -153,6 +153,7 @@ def test_native_kernel_agrees_with_coal(planner: Planner, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.thorough
 def test_free_edges_are_free_everywhere_and_others_are_not(planner: Planner, seed: int) -> None:
     """Edges against coal at 200 places each; where the kernel says that an edge collides, coal agrees at that place."""
     world = CollisionWorld(planner.robot, cluttered(seed))

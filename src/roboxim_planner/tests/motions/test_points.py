@@ -47,6 +47,7 @@ def drawn_plan(planner: Planner, kind: str, seed: int) -> Plan | None:
 
 @pytest.mark.parametrize("kind", ["joints", "cartesian", "retimed"])
 @pytest.mark.parametrize("robot", ["panda", "ur5"])
+@pytest.mark.thorough
 def test_cubic_and_quintic_splines_through_the_points_keep_the_limits(robot: str, kind: str) -> None:
     planner = robot_planner(robot)
     plans = [plan for seed in range(PLANS) if (plan := drawn_plan(planner, kind, seed)) is not None]

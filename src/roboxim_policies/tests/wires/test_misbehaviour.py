@@ -102,6 +102,7 @@ def test_misbehaviour_is_one_named_error_and_the_next_episode_succeeds(name, beh
 
 
 @pytest.mark.parametrize("name", FAKES)
+@pytest.mark.thorough
 def test_failed_episodes_leave_neither_threads_nor_files(name, made):
     def held():
         gc.collect()

@@ -55,6 +55,7 @@ def messages(bag: Path) -> list[tuple[str, int, str]]:
     return found
 
 
+@pytest.mark.thorough
 def test_unchanged_settings_give_the_same_bags(recorded: Path, tmp_path: Path) -> None:
     events: list[Event] = []
     report = rerender(list_bags(recorded), tmp_path / "out", RerenderConfig(), workers=2, on_event=events.append)

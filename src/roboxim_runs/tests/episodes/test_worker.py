@@ -56,6 +56,7 @@ def test_a_worker_tells_of_its_episode_and_returns_its_result(worker, tmp_path):
 
 
 @pytest.mark.parametrize("error", [WorkerBrokenError("the graph is broken"), SystemExit(143)])
+@pytest.mark.thorough
 def test_an_episode_that_is_given_up_ends_before_the_graph_and_leaves_no_bag(worker, tmp_path, monkeypatch, error):
     begun = threading.Event()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import os
 import signal
@@ -169,14 +168,6 @@ def test_without_the_extra_the_user_is_told_what_to_install(monkeypatch):
         )
 
 
-def test_no_module_imports_an_optional_package_when_it_is_imported():
-    for path in (Path(__file__).parents[3]).glob("roboxim*/roboxim*/**/*.py"):
-        for node in ast.parse(path.read_text()).body:
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            assert not {name.partition(".")[0] for name in names} & set(OPTIONAL), path
-
-
 def test_a_cluster_gives_the_results_of_this_machine(cluster, work, monkeypatch, tmp_path):
     monkeypatch.setenv("LEAK", "must not reach the worker")
     wanted, notes = jobs(1, "two", [3.5, None], {"four": True}), []
@@ -262,6 +253,7 @@ def served(servers, work, *, before):
         waiting.wait(0.1)
 
 
+@pytest.mark.thorough
 def test_a_policy_server_on_a_cluster_serves_and_is_started_again_when_it_dies(cluster, monkeypatch):
     launch, url = PolicyLaunch(spec="random"), ""
     settings = {"graph": {"policies": [to_plain(launch)]}, "config": {"policy_timeout_s": 60.0}}

@@ -96,6 +96,7 @@ def test_a_benchmark_runs_its_episodes_where_it_is_told(planted_benchmark, tmp_p
     assert used == [(cluster, nodes)] * 2
 
 
+@pytest.mark.thorough
 def test_experiments_that_ran_elsewhere_enter_a_benchmark_by_their_cards(planted_benchmark, tmp_path, monkeypatch):
     file, calls = planted_benchmark
     whole = run_benchmark(BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "whole"))

@@ -252,6 +252,7 @@ def hash_with(folder, file, original):
     return content.hexdigest()
 
 
+@pytest.mark.thorough
 def test_a_pack_has_finished_bc_checkpoints_without_the_optimisers_state(tmp_path):
     folder = planted_folder(tmp_path / "run", PLANTED_RATES)
     stages = {stage.name: stage for stage in stages_of(folder.design)}

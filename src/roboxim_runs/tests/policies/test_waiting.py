@@ -122,6 +122,7 @@ def job_of(folder, wait_s):
 
 
 @pytest.mark.ros
+@pytest.mark.thorough
 def test_run_survives_a_server_that_comes_back(tmp_path, monkeypatch):
     monkeypatch.setattr(Away, "times", 2)
     monkeypatch.setattr(Away, "asked", 0)
@@ -139,6 +140,7 @@ def test_run_survives_a_server_that_comes_back(tmp_path, monkeypatch):
 
 
 @pytest.mark.ros
+@pytest.mark.thorough
 def test_run_stops_when_the_server_stays_away_and_the_same_run_continues(tmp_path, monkeypatch):
     monkeypatch.setattr(Away, "times", 1_000)
     monkeypatch.setattr(Away, "asked", 0)

@@ -57,6 +57,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "config"
 
 
+@pytest.mark.thorough
 def test_the_arm_is_cut_out_named_and_fitted_with_a_hand(made: Path) -> None:
     robot = ModelLibrary(made).robot("mine")
     assert robot.base_link == "mine_base"

@@ -329,6 +329,7 @@ def test_trainings_of_an_executor_are_cancelled_with_checkpoints(trainers):
     assert "training mine.0" in text
 
 
+@pytest.mark.thorough
 def test_a_training_whose_worker_is_killed_goes_on_with_another_one(trainers, monkeypatch):
     events = []
     with trainers.begun(1, at_once=1, executor=True, on_event=events.append) as result:
