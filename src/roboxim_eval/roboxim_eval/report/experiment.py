@@ -18,6 +18,7 @@ from roboxim_eval.experiments.cells import chosen
 from roboxim_eval.experiments.cost import detectable_drop
 from roboxim_eval.experiments.design import Design
 from roboxim_eval.experiments.proving.proofs import PICTURES
+from roboxim_eval.experiments.spread import spread_rows
 from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
 from roboxim_eval.report.charts.forest import RATES, ForestRow, Scale, difference_scale
 from roboxim_eval.report.charts.heat_map import HeatMap, arm_maps
@@ -94,6 +95,7 @@ def experiment_page(page: ExperimentPage) -> str:
         kinds=_kinds(card),
         margin=f" within {100 * card.experiment.config.decide.margin:.0f} points",
         scores=list(score_rows(card, link)),
+        spreads=list(spread_rows(card)),
         substitutions=substitutions(card, link),
         rates=_rates(arms, link),
         heat=heat_maps(card, design, arms, link),

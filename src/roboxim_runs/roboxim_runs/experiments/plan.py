@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from roboxim_eval.experiments import Cost, Design, Rates, cost_of
+from roboxim_eval.experiments.allocation import Allocation
 from roboxim_eval.experiments.cost import detectable_drop, same_checkpoints, trainings_at_once
+from roboxim_eval.experiments.spread import primary_components
+from roboxim_eval.statistics.components import Components, pooled_components
 from roboxim_runs.experiments.scene_leakage import scene_leakage
 
 NO_RATES = (
@@ -142,6 +146,36 @@ def _power_lines(design: Design) -> Iterator[str]:
             f"                  if trainings of one recipe spread by {100 * TRAINING_SPREAD:.1f} points at "
             f"{100 * SPREAD_AT:.0f} %, an assumption"
         )
+
+
+def allocation_lines(name: str, chosen: Allocation, before: Allocation, cards: int) -> Iterator[str]:
+    """Yield what a budget was spent on, and the interval to expect.
+
+    Args:
+        name: Name of the experiment.
+        chosen: The chosen size.
+        before: The size of the scale, for comparison.
+        cards: Number of cards that the components are from.
+    """
+    many = "1 earlier card" if cards == 1 else f"{cards} earlier cards"
+    yield f"{name}, allocated by the variance components of {many}"
+    for word, one in (("chosen", chosen), ("as it stands", before)):
+        yield (
+            f"  {word:<15} {one.trainings} trainings x {one.cells} cells x {one.rollouts} rollouts, "
+            f"{hours(one.seconds)}: expects +-{100 * one.half_width:.0f} points over these cells, "
+            f"+-{100 * one.half_width_sampled:.0f} with cells as a sample"
+        )
+
+
+def earlier_components(cards: Sequence[Path]) -> Components:
+    """Return the components that the primary comparisons of earlier cards have in common.
+
+    Raises:
+        ConfigError: When a file is no card, was changed, compares nothing or has one training.
+    """
+    from roboxim_runs.experiments.report import stored_card
+
+    return pooled_components([primary_components(stored_card(path)) for path in cards])
 
 
 def _table(design: Design) -> Iterator[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,7 @@ from roboxim_eval.experiments import Design, ExperimentConfig, stages_of
 from roboxim_eval.experiments.card import Card, is_card
 from roboxim_eval.experiments.card_checks import check_card, design_of_card
 from roboxim_eval.experiments.cost import FILMS
+from roboxim_eval.experiments.spread import spread_data, spread_rows
 from roboxim_runs.episodes.facts import EpisodeFacts, episode_facts
 from roboxim_runs.evaluation.shown import place_of
 from roboxim_runs.experiments.card import (
@@ -134,6 +135,32 @@ def stored_card(path: Path) -> Card:
 def write_card(card: Card, out: Path) -> None:
     """Write ``OUT/card.json``."""
     write_whole(out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")
+
+
+def report_data(card: Card, written: Sequence[Path]) -> str:
+    """Return what a report says as JSON: sentences, scores, variance components and the files that were written."""
+    return json.dumps(
+        {
+            "experiment": card.experiment.name, "scale": card.experiment.scale, "sha256": card.sha256,
+            "sentences": [*card.sentences, *card_warnings(card)], "scores": card.scores,
+            "variance_components": spread_data(card), "deviations": list(card.experiment.deviations),
+            "written": [str(path) for path in written],
+        },
+        indent=2,
+    )  # fmt: skip
+
+
+def spread_lines(card: Card) -> list[str]:
+    """Return the variance components of a card: of its primary comparison and of both its conditions, a line each."""
+    primary = card.experiment.config.primary
+    names = (primary.first, primary.second, f"{primary.first} - {primary.second}") if primary is not None else ()
+    return [
+        f"spread            {row['name']}: SD {row['training']} points between trainings, {row['cell']} between cells, "
+        f"{row['both']} cell x training, {row['scene']} rollouts; 95 %: {row['fixed']} over these cells, "
+        f"{row['random']} with cells as a sample"
+        for row in spread_rows(card)
+        if row["name"] in names or primary is None
+    ]
 
 
 def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int = FILMS) -> Path:

@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -195,3 +196,27 @@ def test_durations():
     assert [duration_s(text) for text in ("8h", "90min", "1.5 h", "2d")] == [28800, 5400, 5400, 172800]
     with pytest.raises(ConfigError, match="8h"):
         duration_s("soon")
+
+
+def test_an_earlier_card_decides_what_a_budget_buys():
+    store_rates(OWN)
+    card = Path(__file__).parents[4] / "docs/results/skill_object-night/card.json"
+    words = ["plan", "skill_object", "--scale", "laptop", "--budget", "3.05h", "--from", str(card)]
+    planned = CliRunner().invoke(command, words, catch_exceptions=False)
+    chosen, before = (
+        int(re.search(rf"{word} .*\+-(\d+) points", planned.stdout)[1]) for word in ("chosen", "as it stands")
+    )
+    assert chosen < before
+    assert "3 trainings x 6 cells x 20 rollouts" in planned.stdout
+    with pytest.raises(ConfigError, match="give --budget"):
+        CliRunner().invoke(command, [*words[:4], *words[6:]], catch_exceptions=False)
+
+
+def test_a_report_is_printed_as_json():
+    card = Path(__file__).parents[4] / "docs/results/skill_object-night/card.json"
+    printed = CliRunner().invoke(command, ["report", "--from", str(card), "--json"], catch_exceptions=False)
+    gap = json.loads(printed.stdout)["variance_components"][-1]
+    assert gap["name"] == "leave_out - baseline"
+    assert gap["sd"]["cell"] == pytest.approx(0.193, abs=0.001)
+    text = CliRunner().invoke(command, ["report", "--from", str(card)], catch_exceptions=False).stdout
+    assert "SD 5.4 points between trainings" in text

@@ -57,14 +57,18 @@ def list_experiments() -> None:
 @option("scale")
 @option("trainer")
 @click.option("--budget", default="", metavar="TIME", help="Time that it may take, e.g. 8h or 90min; trainings first.")
+@click.option(
+    "--from", "cards", multiple=True, type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",
+    help="Earlier card.json whose spread decides what the budget buys; give several to pool them.",
+)  # fmt: skip
 @option("trainings", help="Trainings at a time, as for 'experiment run'.")
 @click.option("--no-probe", is_flag=True, help="Do not measure this machine for a minute if no rates are stored.")
 @click.option("--write", type=click.Path(path_type=Path), help="Folder for the task mixes that it consists of.")
 @option("out", metavar="FILE", help="Write the experiment of this scale and budget, for 'experiment run FILE'.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def plan(
-    name: str, benchmark: str, scale: str, trainer: str, budget: str, trainings: int, no_probe: bool,
-    write: Path | None, out: Path | None, as_json: bool,
+    name: str, benchmark: str, scale: str, trainer: str, budget: str, cards: tuple[Path, ...], trainings: int,
+    no_probe: bool, write: Path | None, out: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     r"""Print what an experiment runs, how long it takes, and which difference it can find. Starts none of it.
 
@@ -74,13 +78,13 @@ def plan(
     \b
     roboxim experiment plan skill_object --scale laptop
     roboxim experiment plan skill_object --scale laptop --budget 8h --out mine.yaml
+    roboxim experiment plan skill_object --scale laptop --budget 8h --from runs/so/card.json
     roboxim experiment plan skill_object --scale laptop --trainings 2
     roboxim experiment plan --benchmark transfer --scale night
     """
     import json
 
     from roboxim_core.errors import ConfigError
-    from roboxim_eval.experiments.cost import fitted
     from roboxim_runs.experiments.calibration.rates import stored_rates
     from roboxim_runs.experiments.files import (
         benchmark_experiments,
@@ -88,7 +92,6 @@ def plan(
         fitted_experiment,
         load_benchmark,
         load_experiment,
-        trainer_name,
         write_experiment,
         write_mixes,
     )
@@ -96,6 +99,8 @@ def plan(
 
     if bool(name) == bool(benchmark):
         raise ConfigError("name one experiment, or --benchmark NAME")
+    if cards and not budget:
+        raise ConfigError("--from decides what a budget buys: give --budget TIME too")
     if benchmark and out is not None:
         raise ConfigError("--out writes one experiment; plan each experiment of the benchmark by its name")
     configs = (
@@ -116,12 +121,10 @@ def plan(
         for key, config in configs.items():
             rates = rates_of[key]
             assert rates is not None
-            sized = fitted(config, rates, seconds, trainer_name(config, trainer), trainings)
-            if sized is None:
-                raise ConfigError(
-                    f"no size of '{key}' takes less than {hours(seconds)}; a training alone may take longer"
-                )
+            sized, lines = _sized(key, config, rates, seconds, trainer, trainings, cards)
             configs[key] = fitted_experiment(key, scale, sized, trainer)
+            for line in lines:
+                click.echo(line, err=as_json)
     designs = {key: checked_design(key, config, trainer) for key, config in configs.items()}
     if as_json:
         plans = [plan_data(key, scale, design, rates_of[key], trainings) for key, design in designs.items()]
@@ -211,9 +214,11 @@ def run(name: str, out: Path, shard: str, trained: Path | None, **options: Any) 
 @click.option("--markdown", type=click.Path(path_type=Path), help="Also write sentences and tables to this file.")
 @click.option("--films", type=click.IntRange(0), default=8, show_default=True, help="Films of each condition.")
 @click.option("--evaluations", is_flag=True, help="Also write a page for each evaluation, beside its bags.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def report(
-    folder: Path | None, card: Path | None, out: Path | None, markdown: Path | None, films: int, evaluations: bool
-) -> None:
+    folder: Path | None, card: Path | None, out: Path | None, markdown: Path | None, films: int, evaluations: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
     r"""Check the results of a run's folder or of a card, print them, and write a page.
 
     \b
@@ -230,6 +235,7 @@ def report(
         card_page,
         card_warnings,
         folder_card,
+        spread_lines,
         stored_card,
         write_evaluation_pages,
         write_experiment_report,
@@ -255,6 +261,11 @@ def report(
         from roboxim_eval.report.markdown import experiment_markdown
 
         write_whole(markdown, experiment_markdown(found, warnings=card_warnings(found)))
+    if as_json:
+        from roboxim_runs.experiments.report import report_data
+
+        click.echo(report_data(found, [one for one in (page, *pages, markdown) if one is not None]))
+        return
     click.echo(f"{found.experiment.name}, scale {found.experiment.scale}")
     for sentence in (*found.sentences, *card_warnings(found)):
         click.echo(f"  {sentence}")
@@ -263,6 +274,8 @@ def report(
     for name, value in scores.items():
         text = f"refused: {refused}" if name == "relative" and refused else _score_text(value)
         click.echo(f"  {name:<17} {text}")
+    for line in spread_lines(found):
+        click.echo(f"  {line}")
     for sentence in found.experiment.deviations:
         click.echo(f"  deviation         {sentence}")
     click.echo(f"  sha256            {found.sha256}")
@@ -347,6 +360,37 @@ def unpack_run(file: Path, out: Path) -> None:
 
 
 command.add_command(_experiment_calibrate.command)
+
+
+def _sized(
+    name: str, config: ExperimentConfig, rates: Rates, seconds: float, trainer: str, trainings: int,
+    cards: tuple[Path, ...],
+) -> tuple[ExperimentConfig, list[str]]:  # fmt: skip
+    """Return the experiment that a time buys, and what is to be said about it.
+
+    Raises:
+        ConfigError: When no size fits, or a card is none to learn from.
+    """
+    from roboxim_core.errors import ConfigError
+    from roboxim_eval.experiments.allocation import allocated, allocation_of
+    from roboxim_eval.experiments.cost import fitted
+    from roboxim_runs.experiments.files import trainer_name
+    from roboxim_runs.experiments.plan import allocation_lines, earlier_components, hours
+
+    chosen, lines = trainer_name(config, trainer), []
+    if cards:
+        parts = earlier_components(cards)
+        one = allocated(config, rates, parts, seconds, chosen, trainings)
+        sized = None if one is None else one.config
+        if one is not None:
+            lines = list(
+                allocation_lines(name, one, allocation_of(config, rates, parts, chosen, trainings), len(cards))
+            )
+    else:
+        sized = fitted(config, rates, seconds, chosen, trainings)
+    if sized is None:
+        raise ConfigError(f"no size of '{name}' takes less than {hours(seconds)}; a training alone may take longer")
+    return sized, lines
 
 
 def _at_once(name: str, config: ExperimentConfig, trainer: str, trainings: int) -> int:
