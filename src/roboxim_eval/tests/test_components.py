@@ -31,8 +31,8 @@ PUBLISHED = {
     "camera_object-night": ((7, 10, 7), ((9.4, 3.0), (5.4, 3.0))),
     "camera_skill-night": ((18, 19, 6), ((6.7, 5.4), (1.7, 5.1))),
 }
-"""Card to SDs between cells (leave_out, baseline, and of the cells' own gaps), and of trainings with the rollouts' part,
-in points; from a script of its own."""
+"""Card to SDs between cells (leave_out, baseline, and of the cells' own gaps), and of trainings with the part of the
+rollouts, in points; from a script of its own."""
 
 
 def published(name):
