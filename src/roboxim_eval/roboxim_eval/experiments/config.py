@@ -159,10 +159,15 @@ class EvaluateConfig:
 class ReplicatesConfig:
     """Repetitions of the whole comparison."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("first_seed",)
+    """Later fields, see `roboxim_core.config.LEFT_OUT`: cards and stages without them keep their hashes."""
+
     count: int = 5
     """Number of trainings of each condition; each has scenes of its own, the same in all conditions."""
     vary: tuple[str, ...] = ("training",)
     """What differs between replicates: ``training`` (the seed), and ``data`` (the demonstrations too)."""
+    first_seed: int = 0
+    """Seed of the first replicate's training and scenes; parts of a rotated design have seeds of their own."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -172,6 +177,8 @@ class ReplicatesConfig:
         """
         if not 1 <= self.count <= 1000:
             raise ConfigError(f"count must be from 1 to 1000, got {self.count}")
+        if not 0 <= self.first_seed < 1000:
+            raise ConfigError(f"first_seed must be from 0 to 999, got {self.first_seed}")
         for name in self.vary:
             if name not in VARIES:
                 raise ConfigError(f"vary: unknown '{name}'; {one_of(VARIES, name)}")

@@ -210,7 +210,7 @@ def _trainings(config: ExperimentConfig, trainer: TrainerConfig, trainer_name: s
                 steps = condition.steps or trainer.steps
                 yield Training(
                     condition=name, replicate=replicate, dataset=condition.train, steps=steps,
-                    seed=replicate if "training" in config.replicates.vary else 0,
+                    seed=config.replicates.first_seed + (replicate if "training" in config.replicates.vary else 0),
                     arguments=condition.arguments.get(trainer_name, ""),
                     checkpoints=_checkpoints(config, trainer, steps, replicate),
                 )  # fmt: skip
@@ -361,6 +361,7 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
             trained = condition.checkpoint_of or (evaluation.condition if condition.train else "")
             needs = (f"train/{trained}.{replicate}",) if trained in config.conditions else ()
             seed = (CURVE_SEED if evaluation.checkpoint else EVALUATION_SEED) + replicate
+            seed += config.replicates.first_seed
             at = f"@{evaluation.checkpoint}" if evaluation.checkpoint else ""
             points["curve" if at else "evaluation"].append(add(
                 "evaluate", f"{evaluation.condition}.{replicate}{at}",

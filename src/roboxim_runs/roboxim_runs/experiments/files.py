@@ -23,6 +23,7 @@ from roboxim_eval.experiments.config import FULL
 from roboxim_eval.experiments.design import require_different
 from roboxim_eval.experiments.proving.cells_apart import PARTS, differing, undistinguished
 from roboxim_eval.experiments.reductions import reductions
+from roboxim_eval.experiments.rotation import rotated
 from roboxim_eval.experiments.trainers import TRAINERS, TrainerConfig, trainer_config
 from roboxim_runs.experiments.delivery.demands import demands_in
 from roboxim_runs.experiments.trained.exports import require_readable
@@ -58,7 +59,9 @@ def load_experiment(
     return _stating_reductions(config, whole, _scale_words(scale), trainer)
 
 
-def fitted_experiment(name: str, scale: str, config: ExperimentConfig, trainer: str = "") -> ExperimentConfig:
+def fitted_experiment(
+    name: str, scale: str, config: ExperimentConfig, trainer: str = "", how: str = " in a budget"
+) -> ExperimentConfig:
     """Return an experiment whose numbers a budget has chosen, with deviations that state these numbers.
 
     Args:
@@ -66,11 +69,12 @@ def fitted_experiment(name: str, scale: str, config: ExperimentConfig, trainer: 
         scale: The scale before the budget chose.
         config: The experiment with the chosen numbers.
         trainer: See `load_experiment`.
+        how: What chose the numbers, after the scale's name.
     """
     before = _scale_words(scale)
     config = replace(config, deviations=tuple(one for one in config.deviations if not one.startswith(before)))
     whole = load_experiment(name, trainer=trainer)
-    return _stating_reductions(config, whole, f"Scale {scale} in a budget: ", trainer)
+    return _stating_reductions(config, whole, f"Scale {scale}{how}: ", trainer)
 
 
 def _scale_words(scale: str) -> str:
@@ -141,6 +145,42 @@ def write_experiment(config: ExperimentConfig, path: Path) -> None:
     content = json.loads(json.dumps({**to_plain(config), "scales": {}}))
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def write_rotated(
+    name: str, scale: str, trainer: str, sets: int, held_out: int, replicates: int, folder: Path
+) -> list[Path]:
+    """Write the parts of a rotated design as a folder of configuration, see `roboxim_eval.experiments.rotation`.
+
+    Args:
+        name: The experiment, see `load_experiment`.
+        scale: Its scale.
+        trainer: See `load_experiment`.
+        sets: Number of held-out sets.
+        held_out: Number of cells of a set.
+        replicates: Trainings of each condition in a part.
+        folder: Folder to write to, for ``ROBOXIM_CONFIG_PATH``.
+
+    Returns:
+        A file for each part, and last the benchmark of all of them.
+
+    Raises:
+        ConfigError: When no such sets exist, or a file exists.
+    """
+    config, stem = load_experiment(name, scale, trainer=trainer), f"{Path(name).stem}_rotated"
+    parts = {
+        f"{stem}_{number}": fitted_experiment(name, scale, part, trainer, ", rotated")
+        for number, part in enumerate(rotated(config, sets, held_out, replicates))
+    }
+    paths = [folder / "experiments" / f"{part}.yaml" for part in parts]
+    for key, path in zip(parts, paths, strict=True):
+        checked_design(key, parts[key], trainer)
+        write_experiment(parts[key], path)
+    benchmark = {"about": f"{config.about} Held-out sets rotate.", "experiments": list(parts)}
+    paths.append(folder / "benchmark" / f"{stem}.yaml")
+    paths[-1].parent.mkdir(parents=True, exist_ok=True)
+    paths[-1].write_text(yaml.safe_dump(benchmark, sort_keys=False))
+    return paths
 
 
 def load_benchmark(name: str) -> BenchmarkConfig:

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from roboxim_cli.commands.stages.experiment import command, duration_s
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import SideBySide, design_of
-from roboxim_eval.testing import RATES
+from roboxim_eval.testing import RATES, planted_card
 from roboxim_runs.experiments.calibration import measuring as calibration
 from roboxim_runs.experiments.calibration.rates import rates_file, store_rates, stored_rates
 from roboxim_runs.experiments.files import (
@@ -220,3 +220,32 @@ def test_a_report_is_printed_as_json():
     assert gap["sd"]["cell"] == pytest.approx(0.193, abs=0.001)
     text = CliRunner().invoke(command, ["report", "--from", str(card)], catch_exceptions=False).stdout
     assert "SD 5.4 points between trainings" in text
+
+
+def test_a_rotated_design_is_written_as_a_benchmark_and_planned(tmp_path, monkeypatch):
+    words = ["rotate", "skill_object", "--scale", "laptop", "--sets", "3", "--held-out", "6", "--out", str(tmp_path)]
+    written = CliRunner().invoke(command, words, catch_exceptions=False)
+    assert "benchmark/skill_object_rotated.yaml --out OUT" in written.stdout
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path))
+    plan = ["plan", "--benchmark", "skill_object_rotated", "--no-probe", "--json"]
+    parts = json.loads(CliRunner().invoke(command, plan, catch_exceptions=False).stdout)
+    held = [key for part in parts for key, group in part["cells"].items() if group == "unseen"]
+    assert len(held) == len(set(held)) == 18, "each cell once"
+    assert {part["trainings"] for part in parts} == {2}
+    cards = []
+    for number, part in enumerate(parts):
+        card = planted_card(design_of(load_experiment(part["experiment"])), lambda c, _: RATE[c], seed=number)
+        cards.append(tmp_path / f"{number}.json")
+        write_experiment_card(card, cards[-1])
+    joined = CliRunner().invoke(command, ["join", *map(str, cards), "--json"], catch_exceptions=False)
+    data = json.loads(joined.stdout)
+    assert data["gap_cells_random"][1] < 0.3 < data["gap_cells_random"][2]
+    text = CliRunner().invoke(command, ["join", *map(str, cards)], catch_exceptions=False).stdout
+    assert "3 held-out sets of 6 cells" in text
+
+
+RATE = {"leave_out": 0.5, "baseline": 0.8, "blind": 0.05}
+
+
+def write_experiment_card(card, path):
+    path.write_text(json.dumps(card.plain))

@@ -1,0 +1,159 @@
+"""Rotated designs: the held-out set changes from part to part, so that a score is about factors, not about a few cells.
+
+An experiment with one held-out set says how a policy does in those cells. A rotated one consists of parts, each an
+ordinary experiment with a held-out set of its own and trainings of its own. The sets are disjoint, like the symbols of
+a Latin square: each holds out every level of every factor about equally often, and leaves every level to be seen.
+
+`roboxim_eval.statistics.rotated` joins the parts' results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from roboxim_core.errors import ConfigError
+from roboxim_eval.experiments.card import Card
+from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
+from roboxim_eval.experiments.cells import Cell, cells_of, chosen
+from roboxim_eval.experiments.config import ExperimentConfig
+from roboxim_eval.statistics.rotated import Part, RotatedScore, rotated_score
+
+LEAST_SETS = 3
+"""Fewest sets of a rotated design: over fewer nothing can be said about cells."""
+
+
+def held_out_sets(cells: Sequence[Cell], sets: int, held_out: int) -> tuple[tuple[Cell, ...], ...]:
+    """Choose disjoint sets of cells to hold out.
+
+    In each set the levels of a factor are held out equally often, or nearly so where the number of cells does not
+    divide by that of the levels. Every level keeps a cell that is seen. The same arguments give the same sets.
+
+    Args:
+        cells: All cells.
+        sets: Number of sets.
+        held_out: Number of cells of a set.
+
+    Raises:
+        ConfigError: When there are fewer than `LEAST_SETS` sets, or no such sets exist.
+    """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    if sets < LEAST_SETS:
+        raise ConfigError(f"a rotated design needs at least {LEAST_SETS} sets, got {sets}")
+    if held_out < 1 or sets * held_out > len(cells):
+        raise ConfigError(
+            f"{sets} disjoint sets of {held_out} cells need {sets * held_out} cells, the experiment has {len(cells)}; "
+            f"give at most {len(cells) // sets} cells a set"
+        )
+    number = len(cells)
+    rows, low, high = [], [], []
+
+    def require(members: Sequence[tuple[int, int]], least: float, most: float) -> None:
+        row = np.zeros((number, sets))
+        for member in members:
+            row[member] = 1
+        rows.append(row.ravel())
+        low.append(least)
+        high.append(most)
+
+    for cell in range(number):
+        require([(cell, one) for one in range(sets)], 0, 1)
+    for one in range(sets):
+        require([(cell, one) for cell in range(number)], held_out, held_out)
+        for members in _levels(cells):
+            share = held_out * len(members) / number
+            require([(cell, one) for cell in members], int(share), min(int(np.ceil(share)), len(members) - 1))
+    size = number * sets
+    preferred = np.add.outer(np.arange(number), -np.arange(sets)).astype(float) ** 2  # one of many: the same ever again
+    found = milp(
+        preferred.ravel() * 1e-3, integrality=np.ones(size), bounds=Bounds(0, 1),
+        constraints=LinearConstraint(np.array(rows), np.array(low), np.array(high)), options={"time_limit": 30.0},
+    )  # fmt: skip
+    if found.x is None:
+        raise ConfigError(
+            f"no {sets} disjoint sets of {held_out} cells hold out every level equally often and leave it to be seen; "
+            "give another number of sets or of cells"
+        )
+    held = found.x.reshape(number, sets) > 0.5
+    return tuple(tuple(cell for cell, out in zip(cells, held[:, one], strict=True) if out) for one in range(sets))
+
+
+def _levels(cells: Sequence[Cell]) -> Iterator[list[int]]:
+    """Yield the places of the cells with each level of each factor that has several levels."""
+    for factor in cells[0].levels:
+        levels = dict.fromkeys(cell.levels[factor] for cell in cells)
+        if len(levels) > 1:
+            for level in levels:
+                yield [place for place, cell in enumerate(cells) if cell.levels[factor] == level]
+
+
+def rotated(config: ExperimentConfig, sets: int, held_out: int, replicates: int = 1) -> tuple[ExperimentConfig, ...]:
+    """Return the parts of a rotated design: the experiment with each of the held-out sets.
+
+    Trainings of all parts have seeds of their own. Datasets of seen cells keep their sizes: with fewer cells held out
+    they have fewer demonstrations of each.
+
+    Args:
+        config: The experiment at its scale; its own held-out cells are replaced.
+        sets: Number of held-out sets.
+        held_out: Number of cells of a set.
+        replicates: Trainings of each condition in a part.
+
+    Raises:
+        ConfigError: When no such sets exist, or the experiment compares no two conditions in held-out cells.
+    """
+    primary = config.primary
+    if primary is None or primary.where != "unseen" or primary.against:
+        raise ConfigError("a rotated design needs a primary comparison of two conditions in unseen cells")
+    cells = cells_of(config)
+    before = len(chosen(cells, "seen"))
+    datasets = {
+        name: replace(data, per_cell=max(1, round(data.per_cell * before / (len(cells) - held_out))))
+        if data.cells == "seen" and not data.only
+        else data
+        for name, data in config.datasets.items()
+    }
+    return tuple(
+        replace(
+            config,
+            unseen=tuple(cell.levels for cell in held),
+            datasets=datasets,
+            replicates=replace(config.replicates, count=replicates, first_seed=number * replicates),
+        )
+        for number, held in enumerate(held_out_sets(cells, sets, held_out))
+    )
+
+
+def joined(cards: Sequence[Card]) -> RotatedScore:
+    """Return the scores of a rotated design from the cards of its parts.
+
+    Raises:
+        ConfigError: When the cards are not parts of one design: other experiments, or held-out cells in common.
+    """
+    if len(cards) < LEAST_SETS:
+        raise ConfigError(f"a rotated design has at least {LEAST_SETS} parts, got {len(cards)} cards")
+    seen: set[str] = set()
+    parts = []
+    for card in cards:
+        config, primary = card.experiment.config, card.experiment.config.primary
+        if _without_set(config) != _without_set(cards[0].experiment.config):
+            names = f"{card.experiment.name} and {cards[0].experiment.name}"
+            raise ConfigError(f"{names} differ in more than the held-out set")
+        assert primary is not None
+        cells = [cell.key for cell in chosen(design_of_card(card).cells, "unseen")]
+        if twice := seen & set(cells):
+            raise ConfigError(f"held out in two parts: {', '.join(sorted(twice))}; the sets must be disjoint")
+        seen |= set(cells)
+        arms = outcomes_of_card(card).arms
+        parts.append(Part(first=arms[primary.first].within(cells), second=arms[primary.second].within(cells)))
+    return rotated_score(parts)
+
+
+def _without_set(config: ExperimentConfig) -> ExperimentConfig:
+    return replace(config, unseen=(), deviations=(), replicates=replace(config.replicates, first_seed=0))
+
+
+__all__ = ["LEAST_SETS", "held_out_sets", "joined", "rotated"]

@@ -1,0 +1,103 @@
+"""Scores of a rotated design: each part has a held-out set of its own, see `roboxim_eval.experiments.rotation`.
+
+Two intervals answer two questions:
+
+- **cells as a sample**: how are the conditions in all cells that could have been held out? Each set of cells is one
+  observation, whatever its number of trainings: Student's t over the sets.
+- **these cells**: how are they in the cells of this design? With several trainings of each set, their spread within the
+  sets is the error; with one, the spread between sets, which is too wide for this question, but never too narrow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roboxim_core.errors import InvalidRequestError
+from roboxim_eval.statistics.components import student_limit
+from roboxim_eval.statistics.replicates import ConditionDifference, Interval, condition_difference, condition_rate
+from roboxim_eval.statistics.tables import Arm, total
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """Outcomes of both conditions in the held-out cells of a part; trainings are paired by number."""
+
+    first: Arm
+    """The leave-out condition."""
+    second: Arm
+    """The baseline."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotatedScore:
+    """Scores over all sets."""
+
+    sets: int
+    """Number of held-out sets."""
+    cells: int
+    """Number of cells of a set."""
+    trainings: int
+    """Trainings of each condition in each set."""
+    absolute: Interval
+    """Success rate of the leave-out condition in held-out cells, with cells as a sample."""
+    baseline: Interval
+    """That of the baseline, with cells as a sample."""
+    gap: ConditionDifference
+    """What holding out costs, baseline minus leave-out, a difference for each set: with cells as a sample."""
+    gap_of_these_cells: Interval
+    """95 % interval of the gap over the cells of this design."""
+
+
+def rotated_score(parts: Sequence[Part]) -> RotatedScore:
+    """Return the scores of a rotated design.
+
+    Args:
+        parts: Outcomes of each held-out set; the sets are disjoint.
+
+    Raises:
+        InvalidRequestError: When there are fewer than two sets, or they differ in their numbers of cells or trainings.
+    """
+    sizes = {(len(part.first.cells), len(part.second.cells), len(part.first.replicates)) for part in parts}
+    if len(parts) < 2 or len(sizes) != 1:
+        raise InvalidRequestError(
+            f"sets of a rotated design must be at least 2, with equal numbers of cells and trainings; got {len(parts)} "
+            f"sets of {sorted(sizes)}"
+        )
+    first, second = (_by_set([getattr(part, name) for part in parts]) for name in ("first", "second"))
+    gap = condition_difference(second, first)
+    return RotatedScore(
+        sets=len(parts), cells=len(first.cells), trainings=len(parts[0].first.replicates),
+        absolute=condition_rate(first), baseline=condition_rate(second), gap=gap,
+        gap_of_these_cells=_of_these_cells(parts, gap),
+    )  # fmt: skip
+
+
+def _by_set(arms: Sequence[Arm]) -> Arm:
+    """Return an arm whose replicates are the sets: counts of a cell over all trainings, cells named by their place."""
+    rows = []
+    for arm in arms:
+        counts = [total(replicate[cell] for replicate in arm.replicates) for cell in arm.cells]
+        rows.append({str(place): count for place, count in enumerate(counts)})
+    return replace(arms[0], replicates=tuple(rows))
+
+
+def _of_these_cells(parts: Sequence[Part], gap: ConditionDifference) -> Interval:
+    trainings = len(parts[0].first.replicates)
+    if trainings < 2:
+        return gap.interval()
+    differences = np.array([part.second.rates - part.first.rates for part in parts])  # (sets, trainings)
+    freedom = differences.size - len(parts)
+    spread = math.sqrt(float(differences.var(axis=1, ddof=1).mean()))
+    half = student_limit(freedom) * spread / math.sqrt(differences.size)
+    alone = replace(gap, differences=(gap.value,) * len(parts)).interval()  # no spread: the rollouts' part
+    return Interval(
+        value=gap.value, low=max(-1.0, min(gap.value - half, alone.low)),
+        high=min(1.0, max(gap.value + half, alone.high)),
+    )  # fmt: skip
+
+
+__all__ = ["Part", "RotatedScore", "rotated_score"]
