@@ -95,7 +95,7 @@ policy-rt1: setup ## serve RT-1-X on openpi's wire: CHECKPOINT=folder ENCODER=fo
 	.tools/policy-rt1-env/bin/python src/roboxim_policies/servers/rt1.py $(if $(CHECKPOINT),--checkpoint "$(CHECKPOINT)") \
 	  $(if $(ENCODER),--encoder "$(ENCODER)") $(ARGS)
 
-zero-shot: setup ## evaluate Octo, RT-1-X and OpenVLA (thesis 5.1), starting their servers; see docs/how-to/policies.md; ARGS="--help"
+zero-shot: setup ## evaluate Octo, RT-1-X and OpenVLA (thesis 5.1), starting their servers; see docs/how-to/compare_policies.md; ARGS="--help"
 	@$(BIN)/python scripts/zero_shot.py $(ARGS)
 
 photo: setup ## install Blender (GPL) in its own environment, for roboxim rerender --renderer photo

@@ -62,6 +62,9 @@ def blocks() -> Iterator[Block]:
 PYTHON = [block for block in blocks() if block.language.startswith("python")]
 RUN = [block for block in PYTHON if block.language == "python" and not block.text.startswith("# kitchen/")]
 """The worked example has a separate test, test_worked_example.py, which undoes its registrations."""
+GENERATED = ("docs/reference/yaml.md",)
+MAX_LINES = 250
+"""Most lines of a page that people write."""
 SERVERS = Path(__file__).parents[1] / "src/roboxim_policies/servers"
 """Modules that a user copies into another environment."""
 SHELL = [
@@ -93,6 +96,18 @@ def test_links_lead_to_files_and_headings(file: Path) -> None:
         if not target.exists() or (anchor and target.suffix == ".md" and anchor not in anchors(target)):
             dead.append(link)
     assert not dead, dead
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_pages_are_short(file: Path) -> None:
+    if str(file.relative_to(ROOT)) not in GENERATED:
+        assert len(file.read_text().splitlines()) <= MAX_LINES, "split it by subject, or by kind (see mkdocs.yml)"
+
+
+def test_every_page_is_in_the_site_s_navigation() -> None:
+    named = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2]))
+    made = {"index.md", "reference/cli.md", "reference/api.md"}  # by scripts/docs.py
+    assert {str(file.relative_to(DOCS)) for file in FILES if file.is_relative_to(DOCS)} | made == named
 
 
 @pytest.mark.parametrize("block", PYTHON, ids=str)

@@ -37,7 +37,7 @@ def expert(expert_bag):
 
 @pytest.mark.slow
 def test_the_audit_of_benchmarks_finds_nothing():
-    """The command and the line of docs/experiments.md."""
+    """The command and the line of docs/how-to/audit_benchmark.md."""
     make = environment_maker("roboxim/PickCube-v0", size=32)
     found = audit_benchmark(make, AuditConfig(episodes=1, seeds=4, steps=8))
     assert found.findings == ()

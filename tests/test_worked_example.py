@@ -1,4 +1,4 @@
-"""The worked example of docs/how-to/tasks.md, run from the text of the document itself."""
+"""The worked example of docs/how-to/own_skill.md, run from the text of the document itself."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from roboxim_runs.episodes.task_choice import task_text
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.skills import SKILLS
 
-DOCUMENT = Path(__file__).parents[1] / "docs" / "how-to" / "tasks.md"
+DOCUMENT = Path(__file__).parents[1] / "docs" / "how-to" / "own_skill.md"
 FILES = dict(re.findall(r"^```\w+\n# (kitchen/\S+)\n(.*?)^```$", DOCUMENT.read_text(), re.DOTALL | re.MULTILINE))
 
 

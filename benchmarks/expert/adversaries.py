@@ -3,7 +3,7 @@
 Each trial acts in scenes of its skill through the delta controller, as a policy does, over the cores and without
 cameras. A cheat is as expected if no tick is a success; an honest solution if the episode is a success after settling.
 With ``--out`` each finished episode is stored, and the same command continues an interrupted run. ``--docs`` writes the
-table into docs/how-to/tasks.md.
+table into docs/results/verdicts.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tqdm import tqdm
 from roboxim_runs.evaluation.trials import TrialRuns
 from roboxim_tasks.trials import TRIALS, Trial
 
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "tasks.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "results" / "verdicts.md"
 BEGIN, END = "<!-- adversaries: begin -->", "<!-- adversaries: end -->"
 HEAD = "| skill | what is tried | must | as expected |\n| --- | --- | --- | --- |"
 
@@ -53,7 +53,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="store episodes here and continue from them")
     parser.add_argument("--trials", default="", metavar="TEXT[,TEXT]", help="only trials whose name contains a text")
     parser.add_argument("--scenes", type=int, default=10, metavar="N", help="scenes per trial (default: 10)")
-    parser.add_argument("--docs", action="store_true", help="write the table into docs/how-to/tasks.md")
+    parser.add_argument("--docs", action="store_true", help="write the table into docs/results/verdicts.md")
 
 
 def measure(chosen: dict[str, Trial], scenes: int, out: Path | None) -> dict[str, list[dict[str, Any]]]:
@@ -98,7 +98,7 @@ def row(trial: Trial, outcomes: list[dict[str, Any]]) -> dict[str, str | float]:
 
 
 def write_docs(chosen: dict[str, Trial], outcomes: dict[str, list[dict[str, Any]]]) -> None:
-    """Replace the table in docs/how-to/tasks.md."""
+    """Replace the table in docs/results/verdicts.md."""
     order = sorted(chosen.items(), key=lambda item: (item[1].skill, item[1].honest, item[1].name))
     lines = [HEAD]
     for key, trial in order:

@@ -1,4 +1,4 @@
-"""The model of docs/how-to/scale.md, checked here: the time of an episode with 1 and 2 workers and 1 to 4 Ray nodes.
+"""The model of docs/results/scale.md, checked here: the time of an episode with 1 and 2 workers and 1 to 4 Ray nodes.
 
 The model says that a run is limited by processor time: an episode takes its core-seconds, divided by the cores that its
 workers can use. One local worker gives both figures: core-seconds per episode, and the cores that a worker uses at a

@@ -143,7 +143,7 @@ def test_the_chosen_size_has_narrower_intervals_than_three_trainings_at_equal_co
 
 
 def test_the_table_of_the_documentation_is_that_of_the_cards():
-    text = (RESULTS.parent / "how-to/experiments.md").read_text()
+    text = (RESULTS.parent / "explanation/statistics.md").read_text()
     for name in PUBLISHED:
         for row in spread_rows(published(name)):
             if row["name"] != "blind":

@@ -62,7 +62,7 @@ def points():
 @pytest.mark.parametrize("family", ["beta", "normal"])
 @pytest.mark.parametrize("replicates", [3, 5])
 def test_intervals_of_conditions_hold_at_every_rate_and_spread(replicates, family, cells):
-    """The table of docs/experiments.md: run this file as a program."""
+    """The table of docs/explanation/statistics.md: run this file as a program."""
     found = {point: coverage(family, *point, replicates, cells)["beta_binomial"][0] for point in points()}
     assert min(found.values()) >= 0.94, found
 
@@ -86,7 +86,7 @@ def test_the_interval_mirrors_and_narrows_with_trainings(rates):
 
 
 def main():
-    """Print the table of docs/experiments.md."""
+    """Print the table of docs/explanation/statistics.md."""
     for rate, spread in points():
         row = [f"{100 * rate:g} %", f"{100 * spread:g}"]
         for replicates in (3, 5):
