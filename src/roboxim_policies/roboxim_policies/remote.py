@@ -341,8 +341,14 @@ def probe_from_plain(data: Any) -> Probe:
 
 
 def changed_facts(stored: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Return how a server's facts differ from stored ones; empty: they do not."""
-    return differences(dict(stored), dict(now))
+    """Return how a server's facts differ from stored ones; empty: they do not. A convention's prose does not count."""
+    return differences(_without_prose(stored), _without_prose(now))
+
+
+def _without_prose(facts: Mapping[str, Any]) -> dict[str, Any]:
+    prose = ("description", "sources", "notes")
+    convention = {key: value for key, value in facts.get("convention", {}).items() if key not in prose}
+    return {**facts, "convention": convention}
 
 
 @POLICIES.register("remote")

@@ -14,7 +14,7 @@ from roboxim_core.policies import EpisodeStart
 from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_policies.base import load_policy
 from roboxim_policies.fitting import misfits
-from roboxim_policies.remote import Probe, probe_window
+from roboxim_policies.remote import Probe, changed_facts, probe_window
 from roboxim_policies.wires import groot, openpi, vla_eval
 
 DATA = Path(__file__).parents[4] / "tests" / "data" / "wires"
@@ -194,3 +194,10 @@ def test_shipped_convention_fits_what_a_genuine_server_declared(recording, wire,
     else:
         metadata = openpi.decode(data) if wire == "openpi" else vla_eval.decode(data)["payload"]
     assert misfits(wire, metadata, load_convention(convention)) == []
+
+
+def test_prose_of_a_convention_does_not_make_another_model():
+    facts = {"wire": "openpi", "convention": {"rate_hz": 20, "notes": ["one"], "sources": ["a"]}, "metadata": {}}
+    reworded = facts | {"convention": {"rate_hz": 20, "notes": ["other words"], "sources": [], "description": "d"}}
+    assert changed_facts(facts, reworded) == ""
+    assert "rate_hz" in changed_facts(facts, facts | {"convention": {"rate_hz": 10}})
