@@ -87,7 +87,7 @@ def main() -> None:
     upgrade = ["--upgrade"] if parser.parse_args().upgrade else []
     lock("installer", group("installer"), *upgrade)
     ours = [part for name in ("interfaces", "planner-native") for part in ("--no-emit-package", f"roboxim-{name}")]
-    extras = [part for name in ("learn", "lerobot", "studio") for part in ("--extra", name)]
+    extras = [part for name in ("learn", "lerobot", "pretrained", "studio") for part in ("--extra", name)]
     lock("dev", [], "pyproject.toml", "--group", "dev", *extras, *ours, *upgrade)
     for name in ("scale", "robots"):
         lock_added(name, *upgrade)
@@ -106,7 +106,7 @@ def main() -> None:
     ):
         lock(name, group(name), *upgrade)
     lock("policy-rt1", group("policy-rt1"), *upgrade, without=UNUSED_BY_RT1)
-    for name in ("verify-lerobot", "verify-lerobot-2"):
+    for name in ("verify-encoders", "verify-lerobot", "verify-lerobot-2"):
         lock(name, group(name), *upgrade, without=UNUSED_BY_VERIFICATION)
 
 

@@ -35,8 +35,8 @@ def small_bc(tmp_path_factory):
     from roboxim_core.actions import ActionSemantics
     from roboxim_core.proprioception import Proprioception
     from roboxim_policies.bc.config import BCConfig
-    from roboxim_policies.bc.data import Demonstration, assemble
-    from roboxim_policies.bc.train import Trainer
+    from roboxim_policies.learning.data import Demonstration, assemble
+    from roboxim_policies.learning.train import Trainer
 
     rng = np.random.default_rng(0)
     demonstrations = [

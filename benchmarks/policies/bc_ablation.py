@@ -22,19 +22,18 @@ from benchmarks._harness import Bench
 from roboxim_core.config import from_plain
 from roboxim_core.vision.images import resized
 from roboxim_datasets.formats import open_dataset
-from roboxim_policies.bc.checkpoint import load_checkpoint
 from roboxim_policies.bc.config import BCConfig
-from roboxim_policies.bc.data import (
+from roboxim_policies.learning.checkpoint import load_checkpoint
+from roboxim_policies.learning.data import (
     Demonstration,
     Demonstrations,
     Images,
     Reading,
     assemble,
-    default_sizes,
     read_demonstrations,
 )
-from roboxim_policies.bc.train import Trainer
-from roboxim_policies.bc.validation import validate
+from roboxim_policies.learning.train import Trainer
+from roboxim_policies.learning.validation import validate
 
 GOAL_MM = 10.0
 
@@ -50,7 +49,10 @@ def main() -> None:
         name, _, text = variant.partition(":")
         pairs = (part.partition("=") for part in text.split(",") if part)
         fields = {key: yaml.safe_load(value) for key, _, value in pairs}
-        sizes = {**default_sizes(read.camera_sizes), **{k: fields.pop(k) for k in [*fields] if k in read.camera_sizes}}
+        sizes = {
+            **{name: BCConfig().side_of(name) for name in read.camera_sizes},
+            **{k: fields.pop(k) for k in [*fields] if k in read.camera_sizes},
+        }
         steps = 30 if bench.quick else int(fields.pop("steps", options.steps))
         config = replace(from_plain(fields, BCConfig, source=variant), steps=steps, image_sizes=sizes)
         train = _assembled(read, sizes, slice(0, split))

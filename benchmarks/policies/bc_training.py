@@ -20,8 +20,8 @@ from roboxim_bringup.process import keep_freed_memory
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.proprioception import Proprioception
 from roboxim_policies.bc.config import BCConfig
-from roboxim_policies.bc.data import Demonstration, Demonstrations, assemble
-from roboxim_policies.bc.train import Trainer
+from roboxim_policies.learning.data import Demonstration, Demonstrations, assemble
+from roboxim_policies.learning.train import Trainer
 
 WARM = 10
 """Steps before the measurement: the first one compiles."""

@@ -21,7 +21,17 @@ from typing import TYPE_CHECKING, Any
 from roboxim._registration import register_with_gymnasium
 
 if TYPE_CHECKING:
-    from roboxim.api import evaluate, export_hdf5, export_lerobot, export_rlds, generate, rerender, train_bc
+    from roboxim.api import (
+        evaluate,
+        export_hdf5,
+        export_lerobot,
+        export_rlds,
+        generate,
+        rerender,
+        train_act,
+        train_bc,
+        train_rt1s,
+    )
     from roboxim_cli.printer import EventPrinter
     from roboxim_core.episode import EpisodeResult
     from roboxim_core.errors import ConfigError, RoboximError
@@ -64,11 +74,23 @@ __all__ = [
     "export_rlds",
     "generate",
     "rerender",
+    "train_act",
     "train_bc",
+    "train_rt1s",
 ]
 
 _HOMES = {
-    "roboxim.api": ("evaluate", "export_hdf5", "export_lerobot", "export_rlds", "generate", "rerender", "train_bc"),
+    "roboxim.api": (
+        "evaluate",
+        "export_hdf5",
+        "export_lerobot",
+        "export_rlds",
+        "generate",
+        "rerender",
+        "train_act",
+        "train_bc",
+        "train_rt1s",
+    ),  # fmt: skip
     "roboxim_runs.executors": ("CancelledError", "Executor", "InlineExecutor", "LocalExecutor"),
     "roboxim_cli.printer": ("EventPrinter",),
     "roboxim_runs": ("events",),

@@ -31,6 +31,8 @@ KINDS = {
     "benchmark": ("config/benchmark", "roboxim_eval.benchmark.config:BenchmarkConfig"),
     "trainer": ("config/trainers", "roboxim_eval.experiments.trainers:TrainerConfig"),
     "bc": ("roboxim train bc --config", "roboxim_policies.bc.config:BCConfig"),
+    "rt1s": ("roboxim train rt1s --config", "roboxim_policies.rt1s.config:RT1SConfig"),
+    "act": ("roboxim train act --config", "roboxim_policies.act.config:ACTConfig"),
 }
 """Kind of YAML file to the folder that has it, and the dataclass that reads it."""
 SCALARS: dict[Any, tuple[str, str]] = {

@@ -1,4 +1,4 @@
-"""The shipped policies ``zero``, ``random`` and ``replay``, and the registration of ``bc`` and the remote policies.
+"""The shipped policies ``zero``, ``random``, ``replay``; registration of the trained families and remote policies.
 
 ``zero`` and ``random`` are baselines for every evaluation; ``replay`` repeats recorded actions.
 """
@@ -166,6 +166,40 @@ def bc_policy(checkpoint: str | Path, *, execute: int = 0) -> Policy:
     Raises:
         ConfigError: When the checkpoint is missing, damaged or of another version.
     """
-    from roboxim_policies.bc.policy import BCPolicy
+    from roboxim_policies.learning.policy import LearnedPolicy
 
-    return BCPolicy(checkpoint, execute=execute)
+    return LearnedPolicy(checkpoint, execute=execute, family="bc")
+
+
+@POLICIES.register("rt1s")
+def rt1s_policy(checkpoint: str | Path, *, execute: int = 0) -> Policy:
+    """Load a trained policy of the family rt1s; imports JAX, needs ``roboxim[pretrained]``.
+
+    Args:
+        checkpoint: Checkpoint file or the training's folder.
+        execute: Actions executed per request; 0: the checkpoint's configuration.
+
+    Raises:
+        ConfigError: When the checkpoint is missing, damaged, of another version or of another family.
+        UnavailableError: When a package of ``roboxim[pretrained]`` is not installed.
+    """
+    from roboxim_policies.learning.policy import LearnedPolicy
+
+    return LearnedPolicy(checkpoint, execute=execute, family="rt1s")
+
+
+@POLICIES.register("act")
+def act_policy(checkpoint: str | Path, *, execute: int = 0) -> Policy:
+    """Load a trained policy of the family act; imports JAX, needs ``roboxim[pretrained]``.
+
+    Args:
+        checkpoint: Checkpoint file or the training's folder.
+        execute: Actions executed per request; 0: the checkpoint's configuration.
+
+    Raises:
+        ConfigError: When the checkpoint is missing, damaged, of another version or of another family.
+        UnavailableError: When a package of ``roboxim[pretrained]`` is not installed.
+    """
+    from roboxim_policies.learning.policy import LearnedPolicy
+
+    return LearnedPolicy(checkpoint, execute=execute, family="act")

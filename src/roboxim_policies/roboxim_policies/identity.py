@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_core.policies import Policy
-from roboxim_policies.bc.checkpoint_file import checkpoint_file
+from roboxim_policies.learning.checkpoint_file import checkpoint_file
+from roboxim_policies.learning.families import FAMILIES
 
 BLOCK = 1 << 20
 INSTALLED = {"site-packages", "dist-packages"}
@@ -48,7 +49,7 @@ def policy_files(
     for value in options.values():
         if not isinstance(value, str | Path) or not str(value):
             continue
-        path = checkpoint_file(Path(value)) if spec == "bc" else Path(value)
+        path = checkpoint_file(Path(value)) if spec in FAMILIES else Path(value)
         if path.is_file():
             found[_shown(path)] = _hash_file(path)
         elif path.is_dir():

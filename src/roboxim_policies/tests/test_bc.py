@@ -13,15 +13,15 @@ from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ConfigError
 from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
 from roboxim_core.proprioception import Proprioception
-from roboxim_policies.bc.checkpoint import load_checkpoint, policy_only
 from roboxim_policies.bc.config import BCConfig
-from roboxim_policies.bc.data import Demonstration, Demonstrations, assemble
-from roboxim_policies.bc.features import GraspMemory, proprio_features, state_features, word_indices
 from roboxim_policies.bc.network import Encoder, TargetHead
-from roboxim_policies.bc.policy import BCPolicy
-from roboxim_policies.bc.samples import Samples, augmentation
-from roboxim_policies.bc.train import Trainer, statistics
-from roboxim_policies.bc.validation import validate
+from roboxim_policies.learning.checkpoint import load_checkpoint, policy_only
+from roboxim_policies.learning.data import Demonstration, Demonstrations, assemble
+from roboxim_policies.learning.features import GraspMemory, proprio_features, state_features, word_indices
+from roboxim_policies.learning.policy import LearnedPolicy
+from roboxim_policies.learning.samples import Samples, augmentation
+from roboxim_policies.learning.train import Trainer, statistics
+from roboxim_policies.learning.validation import validate
 
 CONFIG = BCConfig(
     steps=300, learning_rate=3e-3, batch=16, warmup_steps=10, ema_decay=0.9, chunk=4, execute=2,
@@ -70,7 +70,7 @@ def trained(tmp_path_factory):
     return folder, reports
 
 
-def first_action(policy: BCPolicy, demonstration: Demonstration, instruction: str) -> np.ndarray:
+def first_action(policy: LearnedPolicy, demonstration: Demonstration, instruction: str) -> np.ndarray:
     policy.reset(EpisodeStart(episode_id="e", instruction=instruction, seed=0))
     images = {name: frames[0] for name, frames in demonstration.images.items()}
     x, *_, opening = demonstration.proprio[0].tolist()
@@ -88,7 +88,7 @@ def test_it_learns_to_follow_the_named_colour(trained):
     folder, reports = trained
     assert reports[-1].step == CONFIG.steps
     assert reports[-1].parts["move"] < 0.3 * reports[0].parts["move"]
-    policy = BCPolicy(folder)
+    policy = LearnedPolicy(folder)
     rng = np.random.default_rng(0)
     right = 0
     for i in range(24):
@@ -102,13 +102,13 @@ def test_it_learns_to_follow_the_named_colour(trained):
 
 @pytest.mark.thorough
 def test_what_never_moves_stays_exactly_still(trained):
-    action = first_action(BCPolicy(trained[0]), episode(np.random.default_rng(5), "red"), "Pick up the red cube")
+    action = first_action(LearnedPolicy(trained[0]), episode(np.random.default_rng(5), "red"), "Pick up the red cube")
     assert action[1:6].tolist() == [0.0] * 5
     assert action[6] in (0.0, 1.0)
 
 
 def test_it_describes_what_it_was_trained_on(trained):
-    description = BCPolicy(trained[0], execute=3).describe()
+    description = LearnedPolicy(trained[0], execute=3).describe()
     assert [(c.name, c.width, c.height) for c in description.cameras] == [("workspace", 32, 32), ("wrist", 16, 16)]
     assert description.horizon == 3
     assert description.semantics == ActionSemantics()
@@ -116,7 +116,7 @@ def test_it_describes_what_it_was_trained_on(trained):
     assert not description.privileged
     assert load_checkpoint(trained[0]).robot == "panda"
     with pytest.raises(ConfigError, match="1..4"):
-        BCPolicy(trained[0], execute=5)
+        LearnedPolicy(trained[0], execute=5)
 
 
 def test_an_interrupted_training_ends_in_the_same_bits(trained, tmp_path):
@@ -154,7 +154,7 @@ def test_a_failed_write_leaves_the_old_checkpoint_whole(trained, tmp_path, monke
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("roboxim_policies.bc.checkpoint.os.fsync", full)
+    monkeypatch.setattr("roboxim_policies.learning.checkpoint.os.fsync", full)
     with pytest.raises(OSError, match="No space"):
         trainer.run(until=20)
     assert (tmp_path / "checkpoint.npz").read_bytes() == before
@@ -165,9 +165,9 @@ def test_a_damaged_checkpoint_is_refused_by_name(trained, tmp_path):
     whole = (trained[0] / "checkpoint.npz").read_bytes()
     (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ConfigError, match=r"half\.npz"):
-        BCPolicy(tmp_path / "half.npz")
+        LearnedPolicy(tmp_path / "half.npz")
     with pytest.raises(ConfigError, match="roboxim train bc"):
-        BCPolicy(tmp_path / "absent")
+        LearnedPolicy(tmp_path / "absent")
 
 
 def test_a_copy_without_the_state_of_the_training_acts_the_same(trained, tmp_path):
@@ -180,7 +180,7 @@ def test_a_copy_without_the_state_of_the_training_acts_the_same(trained, tmp_pat
     assert [array.tolist() for array in other.arrays] == [one.arrays[-1].tolist()]
     assert (one.original_sha256, other.original_sha256) == ("", hashlib.sha256(whole.read_bytes()).hexdigest())
     assert (other.step, other.identity, other.digest, other.robot) == (300, one.identity, one.digest, "panda")
-    policies = BCPolicy(whole), BCPolicy(tmp_path)
+    policies = LearnedPolicy(whole), LearnedPolicy(tmp_path)
     assert policies[0].describe() == policies[1].describe()
     rng = np.random.default_rng(3)
     for color in COLORS:
@@ -241,7 +241,7 @@ def test_a_checkpoint_of_another_proprioception_is_refused_by_name(trained, tmp_
     arrays["said"] = np.array(json.dumps(json.loads(str(arrays["said"])) | changed))
     np.savez(tmp_path / "old.npz", **arrays)
     with pytest.raises(ConfigError, match=said):
-        BCPolicy(tmp_path / "old.npz")
+        LearnedPolicy(tmp_path / "old.npz")
 
 
 def held_episode(opened_to: float = 0.6) -> tuple[np.ndarray, np.ndarray]:
@@ -345,7 +345,7 @@ def test_gripper_opens_as_far_as_in_the_demonstrations(tmp_path):
     sizes = {"workspace": (32, 32), "wrist": (16, 16)}
     learned = assemble(demonstrations, camera_sizes=sizes, semantics=ActionSemantics())
     Trainer(learned, CONFIG, tmp_path).run(until=60)
-    action = first_action(BCPolicy(tmp_path), demonstrations[0], "Pick up the red cube")
+    action = first_action(LearnedPolicy(tmp_path), demonstrations[0], "Pick up the red cube")
     assert action[6] == pytest.approx(0.6, abs=0.1)
 
 

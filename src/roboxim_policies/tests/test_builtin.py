@@ -151,7 +151,7 @@ def test_replay_of_a_bag_repeats_what_was_executed(tmp_path):
 
 
 def test_only_bc_imports_jax():
-    code = "import sys; from roboxim_policies import load_policy; import roboxim_policies.bc.data; "
+    code = "import sys; from roboxim_policies import load_policy; import roboxim_policies.learning.data; "
     code += "load_policy('zero'); sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

@@ -1,4 +1,1 @@
-"""Behaviour cloning: a small network, its training from a dataset, and the policy that runs it.
-
-`config`, `data`, `features` and `checkpoint_file` do not import JAX.
-"""
+"""Behaviour cloning: a small network from random weights, see `roboxim_policies.learning` for all else."""

@@ -6,38 +6,17 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from roboxim_core.errors import ConfigError
+from roboxim_policies.learning.config import LearningConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class BCConfig:
+class BCConfig(LearningConfig):
     """Network and training of a behaviour-cloning policy. Time is counted in steps, never in seconds."""
 
+    FAMILY: ClassVar[str] = "bc"
     LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("decay_to", "film")
     """Later fields, see `roboxim_core.config.LEFT_OUT`: trainings without them are continued."""
 
-    steps: int = 2000
-    """Optimiser steps."""
-    batch: int = 64
-    """Samples per step."""
-    learning_rate: float = 1e-3
-    """Peak learning rate; the schedule is a linear warm-up, then a cosine decay."""
-    decay_to: float = 0.02
-    """Learning rate at the end, relative to the peak, 0..1; 1: no decay."""
-    warmup_steps: int = 100
-    """Steps of warm-up."""
-    weight_decay: float = 1e-4
-    """Decoupled weight decay of AdamW."""
-    ema_decay: float = 0.995
-    """Decay of the weights' moving average; the policy uses the averaged weights."""
-    seed: int = 0
-    """Seed of initial weights, data order and augmentation."""
-    image_sizes: dict[str, int] | None = None
-    """Camera name to the side [px] of the network's square input, a multiple of 8. Cameras left out are not used. None:
-    all cameras of the dataset, with 64 for names that contain ``wrist`` and 96 for others."""
-    chunk: int = 8
-    """Actions predicted per observation."""
-    execute: int = 4
-    """Actions executed per observation, 1..``chunk``."""
     channels: int = 48
     """Channels of the convolutions; the first convolution has two thirds of this number."""
     depth: int = 1
@@ -51,26 +30,6 @@ class BCConfig:
     """Width of the fully connected layers."""
     word_size: int = 16
     """Length of a word's learned embedding."""
-    target_weight: float = 1.0
-    """Loss weight of the auxiliary task: predict the gripper's pose at its next opening or closing, which is taken from
-    the demonstrations' proprioception."""
-    gripper_weight: float = 0.2
-    """Loss weight of the gripper's cross entropy."""
-    position_noise_m: float = 0.003
-    """Standard deviation of noise on the position input [m], so that the network relies on images rather than on the
-    arm's position."""
-    opening_noise: float = 0.3
-    """Noise on the gripper opening as an input, relative to how far the gripper is closed. An object that is grasped
-    askew is wider than any in the demonstrations, and the network must still recognise it as grasped."""
-    retry: float = 0.06
-    """Fraction of samples that are made into "the gripper closed on nothing": the action opens it and rises until the
-    tool has gained `features.RETRY_M`. Only if no demonstration closes the gripper on nothing."""
-    brightness: float = 0.15
-    """Largest relative change of an image's brightness in training."""
-    shift_px: int = 0
-    """Largest random shift of an image in training [px of the network's input]."""
-    checkpoint_every: int = 250
-    """Steps between checkpoints."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -78,20 +37,7 @@ class BCConfig:
         Raises:
             ConfigError: On a value out of range.
         """
-        counts = ("steps", "batch", "chunk", "execute", "channels", "depth", "keypoints", "hidden", "word_size")
-        for name in (*counts, "checkpoint_every"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be >= 1, got {getattr(self, name)}")
-        if self.execute > self.chunk:
-            raise ConfigError(f"execute must be 1..chunk ({self.chunk}), got {self.execute}")
-        if not self.learning_rate > 0:
-            raise ConfigError(f"learning_rate must be > 0, got {self.learning_rate}")
-        if not 0 <= self.decay_to <= 1:
-            raise ConfigError(f"decay_to must be 0..1, got {self.decay_to}")
+        super().__post_init__()
+        self.require_positive("channels", "depth", "keypoints", "hidden", "word_size")
         if self.film is not None and not 0 <= self.film <= 1 + self.depth:
             raise ConfigError(f"film must be 0..{1 + self.depth} (1 + depth), got {self.film}")
-        if not 0 <= self.ema_decay < 1:
-            raise ConfigError(f"ema_decay must be 0..1 (exclusive), got {self.ema_decay}")
-        for camera, side in (self.image_sizes or {}).items():
-            if side % 8 or not 16 <= side <= 512:
-                raise ConfigError(f"image_sizes: '{camera}' must be a multiple of 8 in 16..512 px, got {side}")

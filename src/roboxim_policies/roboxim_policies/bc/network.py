@@ -23,8 +23,9 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from roboxim_policies.bc.config import BCConfig
-from roboxim_policies.bc.data import TARGET_SIZE
-from roboxim_policies.bc.features import STATE_SIZE
+from roboxim_policies.learning.data import TARGET_SIZE
+from roboxim_policies.learning.features import STATE_SIZE
+from roboxim_policies.learning.layers import Dense, Inputs, Prediction, TargetHead, convolve, he, turned
 
 PATCH = 4
 """Side of the image patches that are the inputs of the first layer [px]."""
@@ -34,36 +35,10 @@ CAMERA_HIDDEN = 128
 """Width of the hidden layer of each camera's head."""
 
 
-def _he(rng: np.random.Generator, shape: tuple[int, ...], scale: float = 1.0) -> Array:
-    """Draw initial weights. Uses NumPy, because compiling JAX's generator for every shape takes seconds."""
-    deviation = scale * math.sqrt(2.0 / math.prod(shape[:-1]))
-    return jnp.asarray(rng.normal(scale=deviation, size=shape), jnp.float32)
-
-
-def _convolve(x: Array, kernel: Array, stride: int) -> Array:
-    return jax.lax.conv_general_dilated(x, kernel, (stride, stride), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC"))
-
-
 def _patches(image: Array) -> Array:
     batch, height, width, channels = image.shape
     x = image.reshape(batch, height // PATCH, PATCH, width // PATCH, PATCH, channels).transpose(0, 1, 3, 2, 4, 5)
     return x.reshape(batch, height // PATCH, width // PATCH, PATCH * PATCH * channels)
-
-
-class Dense(eqx.Module):
-    """Affine layer over the last axis."""
-
-    weight: Array
-    bias: Array
-
-    def __init__(self, inputs: int, outputs: int, *, rng: np.random.Generator, scale: float = 1.0) -> None:
-        """Draw the weights."""
-        self.weight = _he(rng, (inputs, outputs), scale)
-        self.bias = jnp.zeros(outputs)
-
-    def __call__(self, x: Array) -> Array:
-        """Apply to shape (..., inputs)."""
-        return x @ self.weight + self.bias
 
 
 class Encoder(eqx.Module):
@@ -86,12 +61,12 @@ class Encoder(eqx.Module):
         """Draw the weights."""
         first, c, k = 2 * config.channels // 3, config.channels, config.keypoints
         shapes = [(2, 2, 3 * PATCH**2, first), (3, 3, first, c), *([(3, 3, c, c)] * config.depth)]
-        self.kernels = [_he(rng, shape) for shape in shapes]
+        self.kernels = [he(rng, shape) for shape in shapes]
         self.biases = [jnp.zeros(shape[-1]) for shape in shapes]
         modulated = 1 + config.depth if config.film is None else config.film
         self.film = Dense(config.word_size, 2 * c * modulated, rng=rng, scale=0.1) if modulated else None
         self.points = Dense(c, k, rng=rng)
-        self.values = _he(rng, (k, c, 2 + POINT_VALUES), 0.3 * math.sqrt(k))
+        self.values = he(rng, (k, c, 2 + POINT_VALUES), 0.3 * math.sqrt(k))
         self.temperature = jnp.ones(k)
 
     def __call__(self, image: Array, instruction: Array) -> Array:
@@ -101,10 +76,10 @@ class Encoder(eqx.Module):
             image: Values -0.5..0.5, shape (B, side, side, 3).
             instruction: Embedding, shape (B, word_size).
         """
-        x = jax.nn.relu(_convolve(_patches(image), self.kernels[0], 1) + self.biases[0])
+        x = jax.nn.relu(convolve(_patches(image), self.kernels[0], 1) + self.biases[0])
         films = self._films(instruction)
         for layer, (kernel, bias) in enumerate(zip(self.kernels[1:], self.biases[1:], strict=True)):
-            y = _convolve(x, kernel, 2 if layer == 0 else 1) + bias
+            y = convolve(x, kernel, 2 if layer == 0 else 1) + bias
             if layer < len(films):
                 scale, shift = films[layer]
                 y = y * (1 + scale) + shift
@@ -127,58 +102,6 @@ class Encoder(eqx.Module):
         channels = self.kernels[1].shape[-1]
         parts = jnp.split(self.film(instruction)[:, None, None, :], self.film.bias.shape[0] // channels, axis=-1)
         return list(zip(parts[::2], parts[1::2], strict=True))
-
-
-class TargetHead(eqx.Module):
-    """Head for the gripper's pose at its next event, and the time until it."""
-
-    hidden: Dense
-    output: Dense
-
-    def __init__(self, inputs: int, hidden: int, *, rng: np.random.Generator) -> None:
-        """Draw the weights."""
-        self.hidden = Dense(inputs, hidden, rng=rng)
-        self.output = Dense(hidden + inputs, TARGET_SIZE + 2, rng=rng, scale=0.1)
-
-    def __call__(self, x: Array, heading: Array) -> Array:
-        """Return the prediction, shape (B, `TARGET_SIZE`), from features and the cosine and sine of the tool's yaw."""
-        said = self.output(jnp.concatenate([jax.nn.relu(self.hidden(x)), x], axis=-1))
-        return jnp.concatenate([said[:, :2] + _turned(said[:, -2:], heading), said[:, 2:-2]], axis=-1)
-
-
-def _turned(vector: Array, heading: Array) -> Array:
-    """Turn vectors of the tool's frame to the base's, shape (..., 2), by cosine and sine of the yaw, shape (..., 2)."""
-    cos, sin = heading[..., 0], heading[..., 1]
-    x, y = vector[..., 0], vector[..., 1]
-    return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
-
-
-class Inputs(eqx.Module):
-    """Input of the network, for B samples."""
-
-    images: dict[str, Array]
-    """Camera name to values -0.5..0.5, shape (B, side, side, 3)."""
-    state: Array
-    """Proprioception and memory of the grasp, normalised, shape (B, `STATE_SIZE`)."""
-    heading: Array
-    """Cosine and sine of the tool's yaw, shape (B, 2)."""
-    words: Array
-    """Word indices padded with 0, shape (B, L)."""
-
-
-class Prediction(eqx.Module):
-    """Output of the network, normalised by `checkpoint.Statistics`."""
-
-    motion: Array
-    """Translations and rotations, shape (B, chunk, 6)."""
-    closed: Array
-    """Logit of "closed", shape (B, chunk)."""
-    opening: Array
-    """Opening of a gripper that is not closed, shape (B, chunk)."""
-    target: Array
-    """Relative pose of the gripper at its next event, shape (B, `TARGET_SIZE`)."""
-    camera_targets: list[Array]
-    """The same from each camera alone."""
 
 
 class Network(eqx.Module):
@@ -232,7 +155,7 @@ class Network(eqx.Module):
         for layer in self.action_trunk:
             x = jax.nn.relu(layer(x))
         said = self.action_head(x).reshape(-1, self.chunk, 10)
-        horizontal = said[..., :2] + _turned(said[..., 8:], inputs.heading[:, None])
+        horizontal = said[..., :2] + turned(said[..., 8:], inputs.heading[:, None])
         return Prediction(
             motion=jnp.concatenate([horizontal, said[..., 2:6]], axis=-1), closed=said[..., 6], opening=said[..., 7],
             target=target, camera_targets=camera_targets,

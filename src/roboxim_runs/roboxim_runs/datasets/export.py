@@ -29,7 +29,7 @@ TRAINERS: dict[str, tuple[str, dict[str, str]]] = {
     **{name: ("lerobot", {"version": "3.0", "columns": "lerobot"}) for name in ("act", "diffusion", "smolvla", "pi0")},
     "openpi": ("lerobot", {"version": "2.1", "columns": "openpi"}),
     "groot": ("lerobot", {"version": "2.1", "columns": "groot"}),
-    **{name: ("rlds", {}) for name in ("bc", "octo", "openvla")},
+    **{name: ("rlds", {}) for name in ("bc", "rt1s", "octo", "openvla")},
     **{name: ("hdf5", {}) for name in ("robomimic", "diffusion_policy", "libero")},
 }
 """Trainer to the format that it reads, and the options of its export."""

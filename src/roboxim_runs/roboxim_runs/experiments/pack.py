@@ -4,8 +4,8 @@ What remains suffices for reports, comparisons and further evaluations of the ch
 the hash of each file, by which it is checked when it is unpacked.
 
 ``bc`` checkpoints of finished trainings are three quarters state of the optimiser, which nothing reads any more. They
-are packed without it, see `roboxim_policies.bc.checkpoint.policy_only`. The hashes that the experiment's log and card
-state are those of the whole files; the manifest names them too.
+are packed without it, see `roboxim_policies.learning.checkpoint.policy_only`. The hashes that the experiment's log and
+card state are those of the whole files; the manifest names them too.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from roboxim_core import limits
 from roboxim_core.errors import ConfigError, ErrorCode, RoboximError
 from roboxim_core.plain_data.documents import parse_json
 from roboxim_eval.experiments import stages_of
-from roboxim_policies.bc.checkpoint_file import checkpoint_file, read_description
+from roboxim_policies.learning.checkpoint_file import checkpoint_file, read_description
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
 from roboxim_runs.experiments.card import STAGES_FILE
 from roboxim_runs.experiments.report import STATE_FILE as EXPERIMENT_FILE
@@ -80,7 +80,7 @@ MOST_FILES = 1_000_000
 def pack(out: Path, target: Path, *, most_bytes: int = MOST_BYTES) -> Pack:
     """Pack an experiment's or a benchmark's folder.
 
-    Checkpoints of ``bc`` are packed without the optimiser's state when their training is finished, see
+    Checkpoints of RoboXim's own policies are packed without the optimiser's state when their training is finished, see
     `finished_trainings`; all other files are packed as they are.
 
     Args:
@@ -165,13 +165,13 @@ def _contents(out: Path, drafts: Path) -> tuple[dict[str, Path], dict[str, str]]
 
 
 def _shortened(file: Path, draft: Path) -> tuple[Path, str] | None:
-    """Write a ``bc`` checkpoint without the optimiser's state; return the file to pack, and the whole one's hash.
+    """Write an own checkpoint without the optimiser's state; return the file to pack, and the whole one's hash.
 
-    One that has none already is its own draft. None: the file is not a ``bc`` checkpoint of this version.
+    One that has none already is its own draft. None: the file is no such checkpoint of this version.
     """
     try:
         said = read_description(file)
-        from roboxim_policies.bc.checkpoint import ORIGINAL, policy_only  # importing JAX takes a second
+        from roboxim_policies.learning.checkpoint import ORIGINAL, policy_only  # importing JAX takes a second
 
         if ORIGINAL in said:
             return file, str(said[ORIGINAL])

@@ -18,8 +18,9 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.policies import Policy
 from roboxim_policies import POLICIES
 from roboxim_policies.base import find_policy, load_policy, require_arguments
-from roboxim_policies.bc.checkpoint_file import read_description
 from roboxim_policies.identity import policy_files
+from roboxim_policies.learning.checkpoint_file import read_description
+from roboxim_policies.learning.families import FAMILIES
 from roboxim_policies.remote import SERVERS_OWN, RemotePolicy
 from roboxim_policies.wires import REFUSED
 
@@ -92,7 +93,7 @@ class ChosenPolicy(PolicySpec):
         """Cameras that the policy needs, as far as known without an instance of it."""
         if self.acting is not self:
             return self.acting.cameras
-        if self.spec == "bc":
+        if self.spec in FAMILIES:
             return tuple(read_description(Path(self.options[CHECKPOINT])).get("camera_sizes", ()))
         convention = self.options.get("convention")
         if self.is_remote and isinstance(convention, str) and convention != SERVERS_OWN:
@@ -107,7 +108,9 @@ class ChosenPolicy(PolicySpec):
     def robot(self) -> str:
         """Robot that the policy was trained with; empty when unknown."""
         acting = self.acting
-        return str(read_description(Path(acting.options[CHECKPOINT])).get("robot", "")) if acting.spec == "bc" else ""
+        return (
+            str(read_description(Path(acting.options[CHECKPOINT])).get("robot", "")) if acting.spec in FAMILIES else ""
+        )
 
     def files(self, out: Path) -> dict[str, str]:
         """Return the files that define the policy, see `policy_files`, without those in the results' folder."""
@@ -282,15 +285,15 @@ def _require_valid(policy: ChosenPolicy) -> None:
         if policy.options:
             raise ConfigError(f"the expert takes no options, got {', '.join(policy.options)}")
         return
-    if policy.spec == "bc" and CHECKPOINT not in policy.options:
+    if policy.spec in FAMILIES and CHECKPOINT not in policy.options:
         raise ConfigError(
-            f"policy '{policy.name}' needs a checkpoint, e.g. the folder that 'roboxim train bc' wrote: --checkpoint "
-            f"{policy.name}=PATH, or PolicySpec(spec='bc', options={{'checkpoint': PATH}})"
+            f"policy '{policy.name}' needs a checkpoint, e.g. the folder that 'roboxim train {policy.spec}' wrote: "
+            f"--checkpoint {policy.name}=PATH, or PolicySpec(spec='{policy.spec}', options={{'checkpoint': PATH}})"
         )
     require_arguments(policy.spec, policy.make, policy.options)
     if policy.acting is not policy:
         _require_valid(policy.acting)
-    elif policy.spec == "bc":
+    elif policy.spec in FAMILIES:
         read_description(Path(policy.options[CHECKPOINT]))
     elif policy.make.__module__ == roboxim_policies.builtin.__name__:
         load_policy(policy.spec, **policy.options)  # quick, and names the wrong value

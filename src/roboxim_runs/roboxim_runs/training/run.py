@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,11 @@ from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.whole_files import write_whole
 from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_datasets.formats import open_dataset
+from roboxim_policies.act.config import ACTConfig
 from roboxim_policies.bc.config import BCConfig
+from roboxim_policies.learning.config import LearningConfig
+from roboxim_policies.learning.families import config_class
+from roboxim_policies.rt1s.config import RT1SConfig
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
 from roboxim_runs.policies.specs import CHECKPOINT, PolicySpec
@@ -24,13 +29,18 @@ from roboxim_runs.storage.folder import checked_path, make_folder
 TRAINED_ON = "trained_on.json"
 """File in a training's folder that names the export which the trainer read: its identity and cells."""
 
-__all__ = ["TRAINED_ON", "BCConfig", "TrainingResult", "read_bc_config", "train_bc"]
+__all__ = [
+    "TRAINED_ON", "ACTConfig", "BCConfig", "RT1SConfig", "TrainingResult", "read_config", "train_act", "train_bc",
+    "train_policy", "train_rt1s",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingResult:
     """Result of a training."""
 
+    family: str
+    """Family of the policy."""
     checkpoint: Path
     """The checkpoint."""
     steps: int
@@ -43,7 +53,7 @@ class TrainingResult:
     @property
     def policy(self) -> PolicySpec:
         """Policy spec of the trained policy, for `evaluate`."""
-        return PolicySpec(spec="bc", options={CHECKPOINT: str(self.checkpoint)})
+        return PolicySpec(spec=self.family, options={CHECKPOINT: str(self.checkpoint)})
 
 
 def train_bc(
@@ -56,14 +66,62 @@ def train_bc(
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
 ) -> TrainingResult:
-    """Train a small behaviour-cloning network on a dataset, on CPU.
+    """Train a small behaviour-cloning network on a dataset, on CPU; arguments and errors as for `train_policy`."""
+    return train_policy(
+        dataset, out, config or BCConfig(), limit=limit, until=until, on_event=on_event, cancellation=cancellation
+    )
+
+
+def train_rt1s(
+    dataset: Path | str,
+    out: Path | str = "runs/rt1s",
+    config: RT1SConfig | None = None,
+    *,
+    limit: int = 0,
+    until: int = 0,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> TrainingResult:
+    """Train a small relative of RT-1 on pre-trained encoders; arguments and errors as for `train_policy`."""
+    return train_policy(
+        dataset, out, config or RT1SConfig(), limit=limit, until=until, on_event=on_event, cancellation=cancellation
+    )
+
+
+def train_act(
+    dataset: Path | str,
+    out: Path | str = "runs/act",
+    config: ACTConfig | None = None,
+    *,
+    limit: int = 0,
+    until: int = 0,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> TrainingResult:
+    """Train action chunks by a transformer on pre-trained encoders; arguments and errors as for `train_policy`."""
+    return train_policy(
+        dataset, out, config or ACTConfig(), limit=limit, until=until, on_event=on_event, cancellation=cancellation
+    )
+
+
+def train_policy(
+    dataset: Path | str,
+    out: Path | str,
+    config: LearningConfig,
+    *,
+    limit: int = 0,
+    until: int = 0,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+) -> TrainingResult:
+    """Train a policy of any family on a dataset.
 
     Ctrl-C or a cancellation saves a checkpoint. The same call continues from it and ends with the same weights.
 
     Args:
         dataset: A dataset of any registered format.
         out: Folder of the checkpoint.
-        config: Configuration of network and training; none: the defaults.
+        config: Configuration of a family's network and training.
         limit: Largest number of episodes to use; 0: all.
         until: Step after which to end for now, with a checkpoint that the same call continues; 0: the last one.
         on_event: Receives the run's events.
@@ -72,23 +130,27 @@ def train_bc(
     Raises:
         CancelledError: When the training was cancelled.
         ConfigError: When the folder is not a dataset, or ``out`` holds another training.
+        UnavailableError: When the family needs ``roboxim[pretrained]``, which is not installed.
     """
-    settings = config or BCConfig()
+    settings = config
     folder = checked_path(out)
     checked_path(dataset)
     if folder.is_file():
         make_folder(folder)  # says so
-    from roboxim_policies.bc.data import read_demonstrations  # importing JAX takes a second
-    from roboxim_policies.bc.train import Trainer, TrainProgress
+    from roboxim_policies.learning.data import read_demonstrations  # importing JAX takes a second
+    from roboxim_policies.learning.train import Trainer, TrainProgress
 
     started = time.monotonic()
     reporter = Reporter(on_event, cancellation)
     with reporter.stage("reading demonstrations") as reading:
-        read = read_demonstrations(Path(dataset), image_sizes=settings.image_sizes, limit=limit, progress=reading)
+        read = read_demonstrations(
+            Path(dataset), image_sizes=settings.image_sizes, side_of=settings.side_of, limit=limit, progress=reading
+        )
         data = read.assemble()
         del read  # its images are copies
     make_folder(folder)
-    trainer = Trainer(data, settings, Path(out))
+    with reporter.stage("encoding pictures") if settings.ENCODER else nullcontext(_untold) as encoding:
+        trainer = Trainer(data, settings, Path(out), encoding=encoding)
     name_dataset(Path(dataset), folder)
     before = trainer.step
 
@@ -106,8 +168,16 @@ def train_bc(
         with reporter.resumable(unfinished), reporter.stage("training", settings.steps, "steps", before) as report:
             trainer.run(training, until=until)
     return TrainingResult(
-        checkpoint=trainer.path, steps=trainer.step, steps_now=trainer.step - before, wall_s=time.monotonic() - started
+        family=settings.FAMILY,
+        checkpoint=trainer.path,
+        steps=trainer.step,
+        steps_now=trainer.step - before,
+        wall_s=time.monotonic() - started,
     )
+
+
+def _untold(done: int, total: int) -> None:
+    """Ignore progress."""
 
 
 def name_dataset(dataset: Path, training: Path) -> None:
@@ -127,18 +197,20 @@ def name_dataset(dataset: Path, training: Path) -> None:
     write_whole(training / TRAINED_ON, json.dumps(named, indent=2) + "\n")
 
 
-def read_bc_config(file: Path | None, changes: Mapping[str, Any] | None = None) -> BCConfig:
+def read_config(family: str, file: Path | None, changes: Mapping[str, Any] | None = None) -> LearningConfig:
     """Return a training's configuration.
 
     Args:
-        file: YAML file with fields of `BCConfig`; none: the defaults.
+        family: Family of the policy.
+        file: YAML file with fields of its configuration; none: the defaults.
         changes: Fields that replace those of the file.
 
     Raises:
         ConfigError: When the file is missing or empty, or a field is unknown or wrong.
     """
+    cls = config_class(family)
     content = {} if file is None else load_yaml(file)
     if content is None:
         raise ConfigError(f"{file} is empty; expected fields such as 'steps: 500', or omit --config")
-    found = from_plain(content, BCConfig, source=str(file))
-    return from_plain({**to_plain(found), **changes}, BCConfig, source="--set") if changes else found
+    found = from_plain(content, cls, source=str(file))
+    return from_plain({**to_plain(found), **changes}, cls, source="--set") if changes else found

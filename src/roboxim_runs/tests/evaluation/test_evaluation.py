@@ -14,7 +14,7 @@ from roboxim_cli.main import group
 from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError
-from roboxim_policies.bc.checkpoint_file import FORMAT, STATE_NAMES
+from roboxim_policies.learning.checkpoint_file import FORMAT, STATE_NAMES
 from roboxim_runs.episodes import run as episodes
 from roboxim_runs.evaluation import run as evaluation
 from roboxim_runs.executors import Done

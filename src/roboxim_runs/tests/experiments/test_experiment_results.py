@@ -214,8 +214,8 @@ def test_a_pack_survives_the_loss_of_its_machine(tmp_path):
 def train_tiny(folder):
     """Train a bc network of the usual size for one step on two invented demonstrations."""
     from roboxim_policies.bc.config import BCConfig
-    from roboxim_policies.bc.data import Demonstration, assemble
-    from roboxim_policies.bc.train import Trainer
+    from roboxim_policies.learning.data import Demonstration, assemble
+    from roboxim_policies.learning.train import Trainer
 
     rng = np.random.default_rng(0)
     shown = [
@@ -232,9 +232,9 @@ def train_tiny(folder):
 
 def acted(checkpoint):
     """Return what the policy of a checkpoint answers to an invented observation."""
-    from roboxim_policies.bc.policy import BCPolicy
+    from roboxim_policies.learning.policy import LearnedPolicy
 
-    policy = BCPolicy(checkpoint)
+    policy = LearnedPolicy(checkpoint)
     policy.reset(EpisodeStart(episode_id="e", instruction="Pick up the red cube", seed=0))
     image = np.random.default_rng(1).integers(0, 255, (32, 32, 3), np.uint8)
     seen = Observation(seq=0, stamp_ns=0, images={"workspace": image}, proprio=Proprioception())

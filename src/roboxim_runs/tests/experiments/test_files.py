@@ -29,7 +29,7 @@ from roboxim_runs.experiments.files import (
 )
 from roboxim_runs.experiments.provenance import Attestations, device, packages_sha256
 from roboxim_runs.experiments.trained.policies import require_trainers_policy
-from roboxim_runs.training.run import BCConfig, read_bc_config
+from roboxim_runs.training.run import BCConfig, read_config
 from roboxim_tasks.config import load_task_config, task_mix
 
 
@@ -306,13 +306,13 @@ def test_every_ablation_changes_the_configuration_as_it_says():
     found = {}
     for name, condition in config.conditions.items():
         words = shlex.split(condition.arguments.get("bc", "").format())
-        found[name] = read_bc_config(None, parse_options(words[1::2]))
+        found[name] = read_config("bc", None, parse_options(words[1::2]))
     assert found.pop("base") == BCConfig()
     assert found["larger_images"].image_sizes == {"workspace": 128, "wrist": 96}
     assert found["no_film"].film == 0
     assert all(changed != BCConfig() for changed in found.values())
     with pytest.raises(ConfigError, match="dept: unknown key.*did you mean 'depth'"):
-        read_bc_config(None, {"dept": 2})
+        read_config("bc", None, {"dept": 2})
 
 
 def test_packages_that_a_library_adds_to_the_path_do_not_change_the_environment(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -15,23 +16,52 @@ def command() -> None:
     """Train a policy on an exported dataset."""
 
 
-@command.command("bc", begins="training", old={"--limit": "--episodes"})
-@click.argument("dataset", type=click.Path(path_type=Path))
-@click.option(
-    "--out", type=click.Path(path_type=Path), default="runs/bc", show_default=True, help="Folder of the checkpoint."
-)
-@click.option("--steps", type=click.IntRange(1), help="Optimiser steps; default: the configuration's.")
-@click.option("--seed", type=click.IntRange(0), help="Seed of weights, order and augmentation.")
-@click.option("--config", type=click.Path(path_type=Path), help="YAML file with BCConfig's fields.")
-@click.option(
-    "--set", "changes", multiple=True, metavar="FIELD=VALUE", help="A field of BCConfig, e.g. depth=2; may be repeated."
-)
-@click.option("--until", type=click.IntRange(1), default=None, help="End after this step for now; it can be continued.")
-@option("episodes", type=click.IntRange(0), default=0, show_default="all", help="Largest number of episodes to use.")
-def behaviour_cloning(
-    dataset: Path, out: Path, steps: int | None, seed: int | None, config: Path | None, changes: tuple[str, ...],
-    until: int | None, episodes: int,
-) -> None:  # fmt: skip
+def _training(family: str, config: str) -> Callable[[Callable[[], None]], click.Command]:
+    """Make a command that trains a family; its help is the decorated function's.
+
+    Args:
+        family: Name of the family and of the command.
+        config: Name of the family's configuration class.
+    """
+    options = [
+        click.argument("dataset", type=click.Path(path_type=Path)),
+        click.option(
+            "--out", type=click.Path(path_type=Path), default=f"runs/{family}", show_default=True,
+            help="Folder of the checkpoint.",
+        ),
+        click.option("--steps", type=click.IntRange(1), help="Optimiser steps; default: the configuration's."),
+        click.option("--seed", type=click.IntRange(0), help="Seed of weights, order and augmentation."),
+        click.option("--config", type=click.Path(path_type=Path), help=f"YAML file with {config}'s fields."),
+        click.option(
+            "--set", "changes", multiple=True, metavar="FIELD=VALUE",
+            help=f"A field of {config}, e.g. chunk=4; may be repeated.",
+        ),
+        click.option(
+            "--until", type=click.IntRange(1), default=None, help="End after this step for now; it can be continued."
+        ),
+        option(
+            "episodes", type=click.IntRange(0), default=0, show_default="all", help="Largest number of episodes to use."
+        ),
+    ]  # fmt: skip
+
+    def decorate(described: Callable[[], None]) -> click.Command:
+        def train(
+            dataset: Path, out: Path, steps: int | None, seed: int | None, config: Path | None,
+            changes: tuple[str, ...], until: int | None, episodes: int,
+        ) -> None:  # fmt: skip
+            _train(family, dataset, out, {"steps": steps, "seed": seed}, config, changes, until, episodes)
+
+        train.__doc__ = described.__doc__
+        made = train
+        for one in reversed(options):
+            made = one(made)
+        return command.command(family, begins="training", old={"--limit": "--episodes"})(made)
+
+    return decorate
+
+
+@_training("bc", "BCConfig")
+def behaviour_cloning() -> None:
     r"""Train a small behaviour-cloning network on a dataset of any format.
 
     \b
@@ -40,18 +70,48 @@ def behaviour_cloning(
     Ctrl-C saves a checkpoint. The same command continues from it and ends with the same weights. Processors suffice; a
     GPU is used where JAX has one.
     """
+
+
+@_training("rt1s", "RT1SConfig")
+def rt1s() -> None:
+    r"""Train a small relative of RT-1: pre-trained encoders, tokens, a causal transformer over a history.
+
+    \b
+    roboxim train rt1s runs/demos-rlds --out runs/rt1s --steps 4000
+
+    Needs the extra roboxim[pretrained]. The pictures are encoded once, at the first training on them; later ones find
+    the result on disk. Ctrl-C saves a checkpoint, and the same command continues.
+    """
+
+
+@_training("act", "ACTConfig")
+def act() -> None:
+    r"""Train action chunks by a transformer (ACT) on pre-trained encoders.
+
+    \b
+    roboxim train act runs/demos-rlds --out runs/act --steps 4000
+
+    Needs the extra roboxim[pretrained]. The pictures are encoded once, at the first training on them; later ones find
+    the result on disk. Ctrl-C saves a checkpoint, and the same command continues.
+    """
+
+
+def _train(
+    family: str, dataset: Path, out: Path, given: dict[str, int | None], config: Path | None, changes: tuple[str, ...],
+    until: int | None, episodes: int,
+) -> None:  # fmt: skip
     from roboxim_bringup.parameters import parse_options
     from roboxim_bringup.process import keep_freed_memory
     from roboxim_cli.printer import EventPrinter
-    from roboxim_runs.training.run import read_bc_config, train_bc
+    from roboxim_runs.training.run import read_config, train_policy
 
-    given = {"steps": steps, "seed": seed}
-    settings = read_bc_config(config, {**parse_options(changes), **{k: v for k, v in given.items() if v is not None}})
+    chosen = {name: value for name, value in given.items() if value is not None}
+    settings = read_config(family, config, {**parse_options(changes), **chosen})
     keep_freed_memory()
     with EventPrinter() as printer:
-        result = train_bc(dataset, out, settings, limit=episodes, until=until or 0, on_event=printer)
+        result = train_policy(dataset, out, settings, limit=episodes, until=until or 0, on_event=printer)
     if result.steps_now:
         click.echo(f"checkpoint after {result.steps} steps, {result.wall_s:.0f} s: {result.checkpoint}")
     else:
         click.echo(f"{result.checkpoint} has all {result.steps} steps already; nothing to do")
-    click.echo(f"next: roboxim evaluate --policy bc --checkpoint {out} --policy random")
+    click.echo(f"next: roboxim evaluate --policy {family} --checkpoint {out} --policy random")

@@ -21,7 +21,8 @@ from roboxim_core.proprioception import STATE_NAMES
 from roboxim_core.vision.images import resized
 from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import open_dataset
-from roboxim_policies.bc.features import (
+from roboxim_policies.learning.config import LearningConfig
+from roboxim_policies.learning.features import (
     NONE,
     Flags,
     Floats,
@@ -85,6 +86,10 @@ class Demonstrations:
     """For each step, the indices of its instruction's words, padded with 0, shape (N, longest)."""
     targets: Floats
     """For each step, the target of the auxiliary task, shape (N, `TARGET_SIZE`)."""
+    instructions: tuple[str, ...]
+    """The different instructions."""
+    said: Ints
+    """For each step, the number of its instruction, shape (N,)."""
     vocabulary: tuple[str, ...]
     """Words of the instructions; word i has index i + 1, index 0 is padding and unknown words."""
     camera_sizes: dict[str, tuple[int, int]]
@@ -100,10 +105,11 @@ class Demonstrations:
         """Count the steps."""
         return len(self.actions)
 
-
-def default_sizes(cameras: Iterable[str]) -> dict[str, int]:
-    """Return the default side of the network's input [px] by camera."""
-    return {name: 64 if "wrist" in name else 96 for name in cameras}
+    @property
+    def starts(self) -> Ints:
+        """For each step, the index of its episode's first step."""
+        firsts = np.concatenate([[0], np.unique(self.ends)[:-1] + 1]).astype(np.int32)
+        return firsts[np.searchsorted(np.unique(self.ends), self.ends)]
 
 
 def assemble(
@@ -135,6 +141,8 @@ def assemble(
     longest = max(1, *(len(split_words(episode.instruction)) for episode in kept))
     if like is not None:
         vocabulary, longest = like.vocabulary, like.words.shape[1]
+    instructions = sorted({episode.instruction for episode in kept})
+    said = np.array([instructions.index(episode.instruction) for episode in kept], np.int32)
     words = [word_indices(episode.instruction, vocabulary, longest) for episode in kept]
     proprio = np.concatenate([episode.proprio for episode in kept])
     actions = np.concatenate([episode.actions for episode in kept])
@@ -157,6 +165,8 @@ def assemble(
         empty=empty,
         words=np.repeat(np.stack(words), lengths, axis=0),
         targets=np.concatenate([_targets(episode.proprio, episode.actions) for episode in kept]),
+        instructions=tuple(instructions),
+        said=np.repeat(said, lengths),
         vocabulary=vocabulary,
         camera_sizes=dict(camera_sizes),
         semantics=semantics,
@@ -208,6 +218,7 @@ def read_demonstrations(
     path: Path,
     *,
     image_sizes: Mapping[str, int] | None = None,
+    side_of: Callable[[str], int] | None = None,
     split: str = "train",
     limit: int = 0,
     progress: Callable[[int, int], None] = lambda done, total: None,
@@ -216,7 +227,8 @@ def read_demonstrations(
 
     Args:
         path: The dataset.
-        image_sizes: Camera name to the side of the network's input [px]; None: `default_sizes`.
+        image_sizes: Camera name to the side of the network's input [px]; None: all cameras.
+        side_of: Camera name to its side, where ``image_sizes`` is None; None: as `LearningConfig.side_of`.
         split: ``train`` or ``val``.
         limit: Largest number of episodes to read; 0: all.
         progress: Called with (episodes read, total episodes).
@@ -230,7 +242,8 @@ def read_demonstrations(
     dataset = open_dataset(path)
     total = min(dataset.splits.get(split, 0), limit or len(dataset))
     cameras = dataset.features.cameras
-    sizes = dict(image_sizes or default_sizes(cameras))
+    default = side_of or LearningConfig().side_of
+    sizes = dict(image_sizes or {camera: default(camera) for camera in cameras})
     for camera in sizes:
         if camera not in cameras:
             raise ConfigError(f"{path}: no camera '{camera}'; {one_of(cameras, camera)}")
@@ -248,9 +261,9 @@ def read_demonstrations(
     if semantics is None:
         raise ConfigError(f"{path}: split '{split}' has no episodes")
     if semantics.control.is_joint_space or semantics.dimension() != ACTION_SIZE:
-        raise ConfigError(f"{path}: bc learns {ACTION_SIZE} numbers, an end-effector motion; export such actions")
+        raise ConfigError(f"{path}: it learns {ACTION_SIZE} numbers, an end-effector motion; export such actions")
     if semantics.gripper is not GripperConvention.ABSOLUTE_OPEN_1_CLOSED_0:
-        raise ConfigError(f"{path}: bc learns grippers with 1 = open and 0 = closed; export such actions")
+        raise ConfigError(f"{path}: it learns grippers with 1 = open and 0 = closed; export such actions")
     if len(robots) > 1:
         raise ConfigError(f"{path}: episodes of several robots ({', '.join(sorted(robots))}); export each robot apart")
     camera_sizes = {camera: (cameras[camera].width, cameras[camera].height) for camera in sizes}

@@ -12,14 +12,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 import optax
 from jax import Array
 
-from roboxim_policies.bc.checkpoint import Statistics
-from roboxim_policies.bc.config import BCConfig
-from roboxim_policies.bc.data import CLOSED_BELOW, Demonstrations
-from roboxim_policies.bc.features import PROPRIO_SIZE, memory_features
-from roboxim_policies.bc.network import Inputs, Network, Prediction
+from roboxim_policies.learning.checkpoint import Statistics
+from roboxim_policies.learning.config import LearningConfig
+from roboxim_policies.learning.data import CLOSED_BELOW, Demonstrations
+from roboxim_policies.learning.features import PROPRIO_SIZE, memory_features
+from roboxim_policies.learning.layers import Inputs, Network, Prediction
+
+Floats = npt.NDArray[np.float32]
 
 OPENING = 3
 """Index of the gripper's opening in the proprioception features."""
@@ -56,6 +59,7 @@ class Samples(eqx.Module):
     released: Array
     failed: Array
     words: Array
+    sentences: Array | None
     mean: Array
     scale: Array
     rise: Array
@@ -63,8 +67,16 @@ class Samples(eqx.Module):
     retries: bool = eqx.field(static=True)
 
     @staticmethod
-    def of(data: Demonstrations, stats: Statistics, config: BCConfig) -> Samples:
-        """Normalise."""
+    def of(data: Demonstrations, stats: Statistics, config: LearningConfig, sentences: Floats | None = None) -> Samples:
+        """Normalise.
+
+        Args:
+            data: The demonstrations.
+            stats: Their normalisation.
+            config: Configuration of the training.
+            sentences: Embeddings of the wordings of each instruction, shape (instructions, wordings, 512), for a
+                network that reads sentences; None: it reads words.
+        """
         noise = np.zeros_like(data.proprio)
         noise[:, :3] = config.position_noise_m
         noise[:, OPENING] = config.opening_noise * (1 - data.proprio[:, OPENING])
@@ -72,7 +84,7 @@ class Samples(eqx.Module):
         rise = RISE_M / safe[2] if stats.motion_scale[2] > 0 else 0.0
         empties = data.proprio[:, OPENING] < data.empty
         return Samples(
-            images={name: jnp.asarray(images) for name, images in data.images.items()},
+            images={} if config.ENCODER else {name: jnp.asarray(images) for name, images in data.images.items()},
             proprio=jnp.asarray(data.proprio), noise=jnp.asarray(noise), position=jnp.asarray(data.proprio[:, :3]),
             yaw=jnp.asarray(data.yaw, jnp.float32), opening=jnp.asarray(data.proprio[:, OPENING]),
             motion=jnp.asarray((data.actions[:, :6] / safe).astype(np.float32)),
@@ -80,13 +92,21 @@ class Samples(eqx.Module):
             targets=jnp.asarray(stats.normalize_target(data.targets)), ends=jnp.asarray(data.ends),
             grasps=jnp.asarray(data.grasps, jnp.int32), least=jnp.asarray(data.least_opening),
             released=jnp.asarray(data.released), failed=jnp.asarray(data.failed),
-            words=jnp.asarray(data.words), mean=jnp.asarray(stats.state_mean), scale=jnp.asarray(stats.state_scale),
+            words=jnp.asarray(data.words if sentences is None else data.said),
+            sentences=None if sentences is None else jnp.asarray(sentences),
+            mean=jnp.asarray(stats.state_mean), scale=jnp.asarray(stats.state_scale),
             rise=jnp.asarray(rise, jnp.float32), empty=jnp.asarray(data.empty, jnp.float32),
             retries=bool(config.retry > 0 and data.empty > 0 and not empties.any()),
         )  # fmt: skip
 
-    def draw(self, batch: Array, draws: dict[str, Array], config: BCConfig) -> tuple[Inputs, Wanted]:
-        """Return a batch's augmented inputs and the outputs that are wanted."""
+    def draw(self, batch: Array, draws: dict[str, Any], config: LearningConfig) -> tuple[Inputs, Wanted]:
+        """Return a batch's augmented inputs and the outputs that are wanted.
+
+        Args:
+            batch: Indices of the samples.
+            draws: What was drawn for them, see `roboxim_policies.learning.supply.Supply`.
+            config: Configuration of the training.
+        """
         last = self.ends[batch][:, None]
         steps = batch[:, None] + jnp.arange(config.chunk)
         inside = (steps <= last).astype(jnp.float32)  # after the end of a demonstration, the action is to hold still
@@ -105,9 +125,15 @@ class Samples(eqx.Module):
         yaw = self.yaw[batch]
         heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
         state = jnp.concatenate([proprio, self._memory(batch, draws["late"], heading, failed)], axis=-1)
+        seen = draws["features"] if config.ENCODER else {
+            name: self._seen(name, batch, draws, config) for name in self.images
+        }  # fmt: skip
+        words = self.words[batch]
         inputs = Inputs(
-            images={name: self._seen(name, batch, draws, config) for name in self.images},
-            state=(state - self.mean) / self.scale, heading=heading, words=self.words[batch],
+            images=seen, state=(state - self.mean) / self.scale, heading=heading,
+            words=words if self.sentences is None
+            else self.sentences[words, draws["wording"]] + draws.get("word_noise", 0.0),
+            present=draws.get("present"),
         )  # fmt: skip
         return inputs, Wanted(motion=motion, opening=gripper, target=self.targets[batch])
 
@@ -129,13 +155,13 @@ class Samples(eqx.Module):
         )
         return features
 
-    def _seen(self, camera: str, batch: Array, draws: dict[str, Array], config: BCConfig) -> Array:
+    def _seen(self, camera: str, batch: Array, draws: dict[str, Array], config: LearningConfig) -> Array:
         pixels = self.images[camera][batch].astype(jnp.float32) / 255.0
         pixels = jnp.clip(pixels * draws[f"{camera}/gain"], 0, 1) - 0.5
         return _shifted(pixels, draws[f"{camera}/shift"], config.shift_px) if config.shift_px else pixels
 
 
-def augmentation(config: BCConfig, cameras: tuple[str, ...], step: int, batch: int) -> dict[str, Array]:
+def augmentation(config: LearningConfig, cameras: tuple[str, ...], step: int, batch: int) -> dict[str, Array]:
     """Draw a step's augmentation, which is a function of seed and step."""
     rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(1, step)))
     draws: dict[str, np.ndarray[Any, Any]] = {
@@ -160,7 +186,7 @@ def _shifted(pixels: Array, offsets: Array, most: int) -> Array:
     return cut(padded, offsets)
 
 
-def loss_of(network: Network, inputs: Inputs, wanted: Wanted, config: BCConfig) -> tuple[Array, dict[str, Array]]:
+def loss_of(network: Network, inputs: Inputs, wanted: Wanted, config: LearningConfig) -> tuple[Array, dict[str, Array]]:
     """Return the loss and its parts."""
     said: Prediction = network(inputs)
     move = jnp.mean(optax.huber_loss(said.motion, wanted.motion))

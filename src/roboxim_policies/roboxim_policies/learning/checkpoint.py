@@ -25,9 +25,10 @@ from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import digest, from_plain, to_json, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.proprioception import STATE_NAMES
-from roboxim_policies.bc.checkpoint_file import FORMAT, UNREADABLE, checkpoint_file, read_description
-from roboxim_policies.bc.config import BCConfig
-from roboxim_policies.bc.data import Demonstrations
+from roboxim_policies.learning.checkpoint_file import FORMAT, UNREADABLE, checkpoint_file, family_in, read_description
+from roboxim_policies.learning.config import LearningConfig
+from roboxim_policies.learning.data import Demonstrations
+from roboxim_policies.learning.families import config_class
 
 Floats = npt.NDArray[np.float32]
 ORIGINAL = "original_sha256"
@@ -64,7 +65,7 @@ class Checkpoint:
 
     step: int
     """Steps done."""
-    config: BCConfig
+    config: LearningConfig
     """Configuration."""
     stats: Statistics
     """Normalisation."""
@@ -92,7 +93,7 @@ class Checkpoint:
     """SHA-256 of the whole checkpoint's file, if this one has the averaged weights only; empty: it is whole."""
 
     @staticmethod
-    def identity_of(config: BCConfig, data: Demonstrations) -> str:
+    def identity_of(config: LearningConfig, data: Demonstrations) -> str:
         """Return the hash of a training's configuration and data, which determine its result."""
         content = hashlib.blake2b(digest_size=8)
         for name, images in sorted(data.images.items()):
@@ -101,6 +102,9 @@ class Checkpoint:
         content.update(data.actions.tobytes())
         content.update(data.proprio.tobytes())
         content.update(f"{data.vocabulary}{to_json(data.semantics)}".encode())
+        if config.FAMILY != "bc":
+            content.update(f"{config.FAMILY}{data.instructions}".encode())
+            content.update(data.said.tobytes())
         return f"{digest(replace(config, checkpoint_every=1))}-{content.hexdigest()}"
 
     def restore(self, state: Any) -> Any:
@@ -118,7 +122,7 @@ class Checkpoint:
 
 
 def save_checkpoint(
-    path: Path, state: Any, *, step: int, config: BCConfig, data: Demonstrations, stats: Statistics
+    path: Path, state: Any, *, step: int, config: LearningConfig, data: Demonstrations, stats: Statistics
 ) -> None:
     """Write a checkpoint to a temporary file and rename it, so that ``path`` is always complete.
 
@@ -136,6 +140,7 @@ def save_checkpoint(
     arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(state)]
     said = {
         "format": FORMAT,
+        **({} if config.FAMILY == "bc" else {"family": config.FAMILY}),
         "step": step,
         "config": to_plain(config),
         "stats": {name: value.tolist() for name, value in asdict(stats).items()},
@@ -212,7 +217,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise ConfigError(f"{file} is not a readable checkpoint: it has no weights")
     return Checkpoint(
         step=said["step"],
-        config=from_plain(said["config"], BCConfig, source=str(file)),
+        config=from_plain(said["config"], config_class(family_in(said)), source=str(file)),
         stats=Statistics(**{name: np.array(value, np.float32) for name, value in said["stats"].items()}),
         empty=float(said["empty_below"]),
         vocabulary=tuple(said["vocabulary"]),

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from roboxim_policies.bc.checkpoint import Checkpoint
-from roboxim_policies.bc.data import CLOSED_BELOW, Demonstrations
-from roboxim_policies.bc.features import NONE, PROPRIO_SIZE, Floats
-from roboxim_policies.bc.network import make_network
-from roboxim_policies.bc.samples import Samples
+from roboxim_policies.learning.checkpoint import Checkpoint
+from roboxim_policies.learning.data import CLOSED_BELOW, Demonstrations
+from roboxim_policies.learning.families import make_network
+from roboxim_policies.learning.features import NONE, PROPRIO_SIZE, Floats
+from roboxim_policies.learning.layers import Prediction
+from roboxim_policies.learning.samples import Wanted
+from roboxim_policies.learning.supply import Supply
 
 NEAR_TICKS = (2, 16)
 """Ticks before a grasp within which its predicted pose is judged."""
@@ -50,15 +53,25 @@ def validate(checkpoint: Checkpoint, data: Demonstrations) -> ValidationErrors:
     config = replace(checkpoint.config, retry=0.0, shift_px=0)
     _, network_of = make_network(config, cameras, len(data.vocabulary), 0)
     network, stats = network_of(jnp.asarray(checkpoint.arrays[-1])), checkpoint.stats
-    samples = Samples.of(data, stats, config)
-    predict = jax.jit(lambda batch: (network((drawn := samples.draw(batch, still(len(batch)), config))[0]), drawn[1]))
+    supply = Supply(data, config)
+    samples = supply.samples(stats)
 
-    def still(count: int) -> dict[str, jax.Array]:
-        gains = {f"{camera}/gain": jnp.ones((count, 1, 1, 1)) for camera in cameras}
-        none = jnp.zeros(count, jnp.int32)
-        return {"proprio": jnp.zeros((count, PROPRIO_SIZE)), "late": none, **gains}
+    @jax.jit
+    def predict(batch: jax.Array, draws: dict[str, Any]) -> tuple[Prediction, Wanted]:
+        inputs, wanted = samples.draw(batch, draws, config)
+        newest = slice(config.frames - 1, None, config.frames)
+        said: Prediction = jax.tree.map(lambda array: array[newest], network(inputs))
+        return said, jax.tree.map(lambda array: array[newest], wanted)
 
-    chunks = [predict(jnp.asarray(part)) for part in np.split(np.arange(len(data)), range(BATCH, len(data), BATCH))]
+    def judged(part: Any) -> tuple[Prediction, Wanted]:
+        batch, present = supply.windows_before(part)
+        still: dict[str, Any] = {f"{camera}/gain": jnp.ones((len(batch), 1, 1, 1)) for camera in cameras}
+        none = jnp.zeros(len(batch), jnp.int32)
+        still |= {"proprio": jnp.zeros((len(batch), PROPRIO_SIZE)), "late": none, "wording": none}
+        found: tuple[Prediction, Wanted] = predict(jnp.asarray(batch), still | supply.given(batch, present))
+        return found
+
+    chunks = [judged(part) for part in np.split(np.arange(len(data)), range(BATCH, len(data), BATCH))]
     said = jax.tree.map(lambda *parts: np.concatenate(parts), *(chunk[0] for chunk in chunks))
     wanted = jax.tree.map(lambda *parts: np.concatenate(parts), *(chunk[1] for chunk in chunks))
     target = np.asarray(said.target) * stats.target_scale + stats.target_mean

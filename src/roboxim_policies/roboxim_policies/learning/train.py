@@ -1,4 +1,4 @@
-"""Training of the behaviour-cloning network: deterministic for a seed, interruptible at any step, exactly resumable.
+"""Training of a network of any family: deterministic for a seed, interruptible at any step, exactly resumable.
 
 Everything random (the order of the samples, the augmentation) is a function of (seed, step). A checkpoint therefore
 needs only the weights, the optimiser's state and the step, and a resumed training gives the same bits as an
@@ -23,12 +23,13 @@ from jax import Array
 from roboxim_core.config import from_json, to_json, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.differences import differences
-from roboxim_policies.bc.checkpoint import Checkpoint, Statistics, load_checkpoint, save_checkpoint
-from roboxim_policies.bc.config import BCConfig
-from roboxim_policies.bc.data import Demonstrations
-from roboxim_policies.bc.features import state_features
-from roboxim_policies.bc.network import make_network
-from roboxim_policies.bc.samples import Samples, augmentation, loss_of
+from roboxim_policies.learning.checkpoint import Checkpoint, Statistics, load_checkpoint, save_checkpoint
+from roboxim_policies.learning.config import LearningConfig
+from roboxim_policies.learning.data import Demonstrations
+from roboxim_policies.learning.families import config_class, make_network
+from roboxim_policies.learning.features import state_features
+from roboxim_policies.learning.samples import Samples, loss_of
+from roboxim_policies.learning.supply import Supply
 
 DEAD_DELTA = 1e-5
 CHECKPOINT = "checkpoint.npz"
@@ -75,7 +76,10 @@ def statistics(data: Demonstrations) -> Statistics:
 class Trainer:
     """Trainer on demonstrations in memory; `run` may be interrupted and called again."""
 
-    def __init__(self, data: Demonstrations, config: BCConfig, out: Path, *, resume: bool = True) -> None:
+    def __init__(
+        self, data: Demonstrations, config: LearningConfig, out: Path, *, resume: bool = True,
+        encoding: Callable[[int, int], None] = lambda done, total: None,
+    ) -> None:  # fmt: skip
         """Prepare a training, or continue from the folder's checkpoint.
 
         Args:
@@ -83,6 +87,7 @@ class Trainer:
             config: Network and training.
             out: Folder for the checkpoint.
             resume: Whether to continue from an existing checkpoint.
+            encoding: Called with (pictures done, pictures in all) while a pre-trained encoder reads the pictures.
 
         Raises:
             ConfigError: When a checkpoint exists and ``resume`` is False, or the checkpoint belongs to another
@@ -97,8 +102,9 @@ class Trainer:
         self._at: tuple[Any, int] = ((weights, _optimizer(config).init(weights), weights), 0)
         if self.path.exists():
             self._resume(resume)
-        self._samples = Samples.of(data, self.stats, config)
-        self._update = _compiled_update(to_json(config), self.cameras, len(data.vocabulary))
+        self._supply = Supply(data, config, progress=encoding)
+        self._samples = self._supply.samples(self.stats)
+        self._update = _compiled_update(config.FAMILY, to_json(config), self.cameras, len(data.vocabulary))
 
     def _resume(self, resume: bool) -> None:
         if not resume:
@@ -163,19 +169,10 @@ class Trainer:
     def _one_step(self) -> dict[str, Array]:
         parts: dict[str, Array]
         state, step = self._at
-        batch = self._batch_indices(step)
-        draws = augmentation(self.config, self.cameras, step, len(batch))
-        state, parts = self._update(state, self._samples, jnp.asarray(batch), draws, jnp.asarray(step))
+        batch, draws = self._supply.batch(step)
+        state, parts = self._update(state, self._samples, batch, draws, jnp.asarray(step))
         self._at = state, step + 1
         return parts
-
-    def _batch_indices(self, step: int) -> np.ndarray[Any, Any]:
-        """Return the sample indices of a step: consecutive slices of one shuffle per epoch."""
-        batch = min(self.config.batch, len(self.data))
-        per_epoch = len(self.data) // batch
-        epoch, piece = divmod(step, per_epoch)
-        rng = np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=(0, epoch)))
-        return rng.permutation(len(self.data))[piece * batch : (piece + 1) * batch]
 
     def _report(self, recent: list[dict[str, Array]], seconds: float, steps: int) -> TrainProgress:
         parts = {name: float(np.mean([float(p[name]) for p in recent])) for name in recent[0]}
@@ -193,13 +190,13 @@ class Trainer:
 
 
 @lru_cache(maxsize=4)
-def _compiled_update(config_json: str, cameras: tuple[str, ...], vocabulary: int) -> Callable[..., Any]:
+def _compiled_update(family: str, config_json: str, cameras: tuple[str, ...], vocabulary: int) -> Callable[..., Any]:
     """Return the compiled training step, compiled once per shape and process."""
-    config = from_json(config_json, BCConfig)
+    config = from_json(config_json, config_class(family))
     optimizer = _optimizer(config)
     _, network_of = make_network(config, cameras, vocabulary, config.seed)
 
-    def update(state: Any, samples: Samples, batch: Array, draws: dict[str, Array], step: Array) -> Any:
+    def update(state: Any, samples: Samples, batch: Array, draws: dict[str, Any], step: Array) -> Any:
         weights, optimizer_state, average = state
         inputs, wanted = samples.draw(batch, draws, config)
 
@@ -216,7 +213,7 @@ def _compiled_update(config_json: str, cameras: tuple[str, ...], vocabulary: int
     return jax.jit(update)
 
 
-def _optimizer(config: BCConfig) -> optax.GradientTransformation:
+def _optimizer(config: LearningConfig) -> optax.GradientTransformation:
     warmup = min(config.warmup_steps, config.steps // 4)
     peak = config.learning_rate
     schedule = optax.warmup_cosine_decay_schedule(0.0, peak, warmup, max(config.steps, 2), config.decay_to * peak)

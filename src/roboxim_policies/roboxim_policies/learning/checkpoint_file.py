@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,13 @@ def checkpoint_file(path: Path) -> Path:
     return path / "checkpoint.npz" if path.is_dir() else path
 
 
+def family_in(said: Mapping[str, Any]) -> str:
+    """Return the family of the policy that a description is of."""
+    return str(said.get("family", "bc"))
+
+
 def read_description(path: Path) -> dict[str, Any]:
-    """Return the description in a checkpoint, as written by `roboxim_policies.bc.checkpoint.save_checkpoint`.
+    """Return the description in a checkpoint, as written by `roboxim_policies.learning.checkpoint.save_checkpoint`.
 
     Args:
         path: The file, or the folder of a training.
@@ -35,7 +41,7 @@ def read_description(path: Path) -> dict[str, Any]:
     """
     file = checkpoint_file(path)
     if not file.is_file():
-        raise ConfigError(f"no checkpoint at {file}; train one with 'roboxim train bc'")
+        raise ConfigError(f"no checkpoint at {file}; train one, e.g. with 'roboxim train bc'")
     try:
         with np.load(file, allow_pickle=False) as archive:
             text = str(archive["said"])

@@ -20,36 +20,41 @@ from roboxim_core.policies import CameraRequirement, EpisodeStart, ObservationWi
 from roboxim_core.proprioception import Proprioception
 from roboxim_core.vision.images import resized
 from roboxim_policies.base import BasePolicy
-from roboxim_policies.bc.checkpoint import load_checkpoint
-from roboxim_policies.bc.config import BCConfig
-from roboxim_policies.bc.data import CLOSED_BELOW, Images
-from roboxim_policies.bc.features import Floats, GraspMemory, proprio_features, tool_yaw, word_indices
-from roboxim_policies.bc.network import Inputs, Prediction, make_network
+from roboxim_policies.encoders.feature_cache import encode
+from roboxim_policies.encoders.sentences import embedding
+from roboxim_policies.learning.checkpoint import load_checkpoint
+from roboxim_policies.learning.data import CLOSED_BELOW, Images
+from roboxim_policies.learning.families import config_class, make_network
+from roboxim_policies.learning.features import Floats, GraspMemory, proprio_features, tool_yaw, word_indices
+from roboxim_policies.learning.layers import Inputs, Prediction
 
 
-class BCPolicy(BasePolicy):
-    """A behaviour-cloning policy from a checkpoint.
+class LearnedPolicy(BasePolicy):
+    """A policy of any family from a checkpoint.
 
     Note: it requires images at the size of its training data and resizes them as the training did, because an image
     rendered at a smaller size has different pixels. The network is compiled when it is loaded, so that the first action
-    is not late. It remembers the episode's grasp, see `features.GraspMemory`. Words that do not occur in the training
-    data are ignored.
+    is not late. It remembers the episode's grasp, see `features.GraspMemory`, and the observations that its network
+    has a history of. Words that do not occur in the training data are ignored, unless a sentence encoder reads them.
     """
 
-    name = "bc"
     any_thread = True
 
-    def __init__(self, checkpoint: str | Path, *, execute: int = 0) -> None:
+    def __init__(self, checkpoint: str | Path, *, execute: int = 0, family: str = "") -> None:
         """Load a checkpoint and compile the network.
 
         Args:
             checkpoint: Checkpoint file, or the folder of a training.
             execute: Actions executed per request; 0: the checkpoint's configuration.
+            family: Family that the checkpoint must be of; empty: any.
 
         Raises:
             ConfigError: When the checkpoint cannot be used.
         """
         self._said = said = load_checkpoint(Path(checkpoint))
+        self.name = said.config.FAMILY
+        if family not in ("", self.name):
+            raise ConfigError(f"{checkpoint} is a checkpoint of '{self.name}', not of '{family}': --policy {self.name}")
         self.horizon = execute or said.config.execute
         if not 1 <= self.horizon <= said.config.chunk:
             raise ConfigError(f"execute must be 1..{said.config.chunk}, the checkpoint's chunk, got {execute}")
@@ -67,7 +72,10 @@ class BCPolicy(BasePolicy):
             )
         self._weights = jnp.asarray(averaged)
         self._predict = _compiled(
-            to_json(replace(said.config, seed=0)), tuple(sorted(said.camera_sizes)), len(said.vocabulary)
+            said.config.FAMILY,
+            to_json(replace(said.config, seed=0)),
+            tuple(sorted(said.camera_sizes)),
+            len(said.vocabulary),
         )
         self._begin("")
         blank = {name: np.zeros((side, side, 3), np.uint8) for name, side in said.input_sizes.items()}
@@ -77,7 +85,7 @@ class BCPolicy(BasePolicy):
         """Read the instruction and forget the previous episode."""
         self._begin(start.instruction)
 
-    def another(self) -> BCPolicy:
+    def another(self) -> LearnedPolicy:
         """Return a policy with an episode of its own that shares the compiled network."""
         shared = copy.copy(self)
         shared._begin("")
@@ -88,34 +96,57 @@ class BCPolicy(BasePolicy):
         newest = window.newest
         said = self._infer(newest.images, newest.proprio.vector())
         actions = np.zeros((self.horizon, 7), np.float32)
-        actions[:, :6] = np.asarray(said.motion[0, : self.horizon]) * self._said.stats.motion_scale
-        opening = np.clip(np.asarray(said.opening[0, : self.horizon]), CLOSED_BELOW, 1.0)
-        closed = np.asarray(said.closed[0, : self.horizon]) > 0
+        actions[:, :6] = np.asarray(said.motion[-1, : self.horizon]) * self._said.stats.motion_scale
+        opening = np.clip(np.asarray(said.opening[-1, : self.horizon]), CLOSED_BELOW, 1.0)
+        closed = np.asarray(said.closed[-1, : self.horizon]) > 0
         actions[:, 6] = np.where(closed, 0.0, opening)
         self._memory.commanded(bool(closed[-1]))
         return actions
 
     def _begin(self, instruction: str) -> None:
-        self._words = jnp.asarray(word_indices(instruction, self._said.vocabulary, self._said.word_count))[None]
+        said = self._said
+        self._words = (
+            embedding(instruction) if said.config.sentences
+            else word_indices(instruction, said.vocabulary, said.word_count)
+        )  # fmt: skip
+        self._seen: list[Inputs] = []
         self._memory = GraspMemory(self._said.empty)
 
     def _infer(self, images: Mapping[str, Images], proprio: Floats) -> Prediction:
-        pixels = {
-            name: jnp.asarray(resized(images[name], side, side), jnp.float32)[None] / 255.0 - 0.5
-            for name, side in self._said.input_sizes.items()
-        }
+        pixels = {name: resized(images[name], side, side)[None] for name, side in self._said.input_sizes.items()}
         state = np.concatenate([proprio_features(proprio), self._memory.observe(proprio)])
         yaw = tool_yaw(proprio)
         inputs = Inputs(
-            images=pixels, state=jnp.asarray(self._said.stats.normalize_state(state))[None],
-            heading=jnp.asarray([[np.cos(yaw), np.sin(yaw)]], jnp.float32), words=self._words,
+            images=self._look(pixels), state=jnp.asarray(self._said.stats.normalize_state(state))[None],
+            heading=jnp.asarray([[np.cos(yaw), np.sin(yaw)]], jnp.float32), words=jnp.asarray(self._words)[None],
         )  # fmt: skip
-        prediction: Prediction = self._predict(self._weights, inputs)
+        prediction: Prediction = self._predict(self._weights, self._with_history(inputs))
         return prediction
+
+    def _look(self, pixels: Mapping[str, Images]) -> dict[str, Array]:
+        """Return what the network sees of pictures of shape (1, side, side, 3)."""
+        if not self._said.config.ENCODER:
+            return {name: jnp.asarray(picture, jnp.float32) / 255.0 - 0.5 for name, picture in pixels.items()}
+        return {
+            f"{name}/{stride}": array for name, picture in pixels.items() for stride, array in encode(picture).items()
+        }
+
+    def _with_history(self, newest: Inputs) -> Inputs:
+        """Return the last observations as one window; before the first one, it is repeated and marked as absent."""
+        frames = self._said.config.frames
+        if frames == 1:
+            return newest
+        self._seen = [*self._seen, newest][-frames:]
+        absent = frames - len(self._seen)
+        window = [self._seen[0]] * absent + self._seen
+        joined: Inputs = jax.tree.map(lambda *parts: jnp.concatenate(parts), *window)
+        return replace(joined, present=jnp.arange(frames) >= absent)
 
 
 @lru_cache(maxsize=4)
-def _compiled(config_json: str, cameras: tuple[str, ...], vocabulary: int) -> Callable[[Array, Inputs], Prediction]:
+def _compiled(
+    family: str, config_json: str, cameras: tuple[str, ...], vocabulary: int
+) -> Callable[[Array, Inputs], Prediction]:
     """Return the compiled network, compiled once per process for all checkpoints of the same form."""
-    _, network_of = make_network(from_json(config_json, BCConfig), cameras, vocabulary, seed=0)
+    _, network_of = make_network(from_json(config_json, config_class(family)), cameras, vocabulary, seed=0)
     return jax.jit(lambda weights, inputs: network_of(weights)(inputs))

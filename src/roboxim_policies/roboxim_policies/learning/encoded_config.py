@@ -1,0 +1,70 @@
+"""Configuration of policies on pre-trained encoders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from roboxim_core.errors import ConfigError
+from roboxim_policies.learning.config import LearningConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncodedConfig(LearningConfig):
+    """Training of a policy on EfficientNet-Lite0 (ImageNet) and the Universal Sentence Encoder."""
+
+    ENCODER: ClassVar[bool] = True
+
+    image_sizes: dict[str, int] | None = None
+    """Camera name to the side [px] of the encoder's square input, a multiple of 16. Cameras left out are not used.
+    None: all cameras of the dataset, with 128."""
+    brightness: float = 0.0
+    """Must be 0: pictures are encoded once, before the training."""
+    channels: int = 48
+    """Channels of the grid that the instruction modulates."""
+    tokens: int = 16
+    """Tokens of each camera."""
+    token_size: int = 128
+    """Length of a token in the transformer, a multiple of ``heads``."""
+    heads: int = 4
+    """Heads of each attention."""
+    layers: int = 2
+    """Layers of the transformer."""
+    hidden: int = 256
+    """Width of the fully connected layers."""
+    word_size: int = 32
+    """Length of the vector that the instruction's embedding is reduced to."""
+    sentence_noise: float = 0.3
+    """Standard deviation of noise on the instruction's embedding in training, relative to its numbers, so that a
+    wording that is near to a known one is understood as that one."""
+
+    def side_of(self, camera: str) -> int:
+        """Return the default side of the encoder's input for a camera [px]."""
+        return 128
+
+    @property
+    def word_noise(self) -> float:
+        """Standard deviation of noise on an instruction's embedding in training."""
+        return self.sentence_noise
+
+    @property
+    def sentences(self) -> bool:
+        """Whether a pre-trained encoder reads the instructions: always."""
+        return True
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: On a value out of range.
+        """
+        super().__post_init__()
+        self.require_positive("channels", "tokens", "token_size", "heads", "layers", "hidden", "word_size")
+        if self.token_size % self.heads:
+            raise ConfigError(f"token_size must be a multiple of heads ({self.heads}), got {self.token_size}")
+        if any(side % 16 for side in (self.image_sizes or {}).values()):
+            raise ConfigError(f"image_sizes must be multiples of 16, got {self.image_sizes}")
+        if self.sentence_noise < 0:
+            raise ConfigError(f"sentence_noise must be >= 0, got {self.sentence_noise}")
+        if self.brightness or self.shift_px:
+            raise ConfigError("brightness and shift_px must be 0: pictures are encoded once, before the training")

