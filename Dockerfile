@@ -15,7 +15,7 @@ RUN apt-get update \
     && rm -rf /var/lib/apt/lists/* \
     && useradd --create-home roboxim
 RUN --mount=type=bind,from=build,source=/src/dist,target=/dist \
-    pip install --no-cache-dir --find-links /dist --constraint /dist/constraints.txt "roboxim[learn,lerobot,studio,vla-eval]"
+    pip install --no-cache-dir --find-links /dist --constraint /dist/constraints.txt "roboxim[assets,learn,lerobot,studio,vla-eval]"
 USER roboxim
 WORKDIR /home/roboxim
 ENTRYPOINT ["roboxim"]

@@ -87,7 +87,7 @@ def main() -> None:
     upgrade = ["--upgrade"] if parser.parse_args().upgrade else []
     lock("installer", group("installer"), *upgrade)
     ours = [part for name in ("interfaces", "planner-native") for part in ("--no-emit-package", f"roboxim-{name}")]
-    extras = [part for name in ("learn", "lerobot", "pretrained", "studio") for part in ("--extra", name)]
+    extras = [part for name in ("assets", "learn", "lerobot", "pretrained", "studio") for part in ("--extra", name)]
     lock("dev", [], "pyproject.toml", "--group", "dev", *extras, *ours, *upgrade)
     for name in ("scale", "robots"):
         lock_added(name, *upgrade)

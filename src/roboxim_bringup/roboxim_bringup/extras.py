@@ -1,7 +1,7 @@
 """The extras of the distribution `roboxim`: optional dependencies, and the modules that they bring.
 
 The base installation holds what simulating, planning, recording and evaluating need. What learns, reads or writes
-LeRobot datasets, or runs on a cluster needs an extra: ``pip install 'roboxim[learn]'``.
+LeRobot datasets, imports meshes, or runs on a cluster needs an extra: ``pip install 'roboxim[learn]'``.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from roboxim_core.errors import ConfigError
 
 EXTRAS: dict[str, tuple[str, ...]] = {
+    "assets": ("coacd", "manifold3d", "networkx"),
     "learn": ("jax", "equinox", "optax"),
     "lerobot": ("pyarrow", "av"),
     "ray": ("ray",),
@@ -21,6 +22,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
 }
 """Modules of each extra."""
 PURPOSES: dict[str, str] = {
+    "assets": "importing meshes as objects",
     "learn": "training `bc`, and evaluating its checkpoints",
     "lerobot": "reading and writing LeRobot datasets",
     "ray": "runs on a Ray cluster",

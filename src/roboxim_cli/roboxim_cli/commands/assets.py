@@ -1,4 +1,4 @@
-"""Draw the objects on one contact sheet; check, draft or simplify your own."""
+"""Draw the objects on one contact sheet; import, check, draft or simplify your own."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from roboxim_cli.options import option, parse_size
 
 @strict.group()
 def command() -> None:
-    """Draw the objects on one contact sheet; check, draft or simplify your own."""
+    """Draw the objects on one contact sheet; import, check, draft or simplify your own."""
 
 
 @command.command("sheet")
@@ -100,6 +100,68 @@ def check(targets: tuple[str, ...]) -> None:
             click.echo(f"  {finding.severity}: {finding.message}")
     if errors:
         raise RoboximError(f"{errors} of {len(targets)} objects cannot be used as they are", ErrorCode.INVALID_CONFIG)
+
+
+@command.command("import")
+@click.argument("meshes", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@option("out", default="my_objects", help="Configuration folder; the objects are written into its folder objects/.")
+@click.option("--unit", default="", metavar="m|cm|mm|in", help="Unit of the files; default: guessed, and said.")
+@click.option("--up", default="z", show_default=True, type=click.Choice(["z", "y"]), help="Axis that points up.")
+@click.option("--mass", type=click.FloatRange(0, 20, min_open=True), metavar="KG", help="Mass; default: guessed.")
+@click.option("--noun", default="", help="Noun in instructions; default: the file's name.")
+@click.option("--thorough", is_flag=True, help="Cut into finer convex parts: minutes a mesh instead of seconds.")
+@click.option("--again", is_flag=True, help="Import also what is already in the folder.")
+def import_(
+    meshes: tuple[Path, ...],
+    out: Path,
+    unit: str,
+    up: str,
+    mass: float | None,
+    noun: str,
+    thorough: bool,
+    again: bool,
+) -> None:
+    r"""Make objects of MESHES (GLB, OBJ, STL, ...): collision shapes, mass, rest poses, affordances, proven grasps.
+
+    \b
+    roboxim assets import teapot.glb
+    roboxim assets import scans/*.obj --unit mm --up y --out my_things
+
+    Each grasp has lifted the object in a floating hand. What is guessed is said, and written into the YAML file.
+    """
+    from roboxim_cli.progress import ProgressLine
+    from roboxim_core.errors import ConfigError, ErrorCode, RoboximError
+    from roboxim_runs.assets.importing import ImportOptions, import_mesh, object_id_of
+
+    if noun and len(meshes) > 1:
+        raise ConfigError("--noun names one object: give one mesh")
+    options = ImportOptions(unit=unit, up=up, mass_kg=mass or 0.0, name=noun, effort="thorough" if thorough else "fast")
+    names, failed = [], 0
+    with ProgressLine("importing", len(meshes), unit="meshes") as line:
+        for number, mesh in enumerate(meshes):
+            object_id = object_id_of(mesh)
+            if not again and (out / "objects" / f"{object_id}.yaml").is_file():
+                line.say(f"{object_id}: is there already; --again imports it again")
+                names.append(object_id)
+                continue
+            line.update(number, object_id)
+            try:
+                made = import_mesh(
+                    mesh, out / "objects", options,
+                    on_step=lambda step, n=number, o=object_id: line.update(n, f"{o}: {step}"),  # type: ignore[misc]
+                )  # fmt: skip
+            except RoboximError as error:
+                failed += 1
+                line.say(f"{object_id}: not imported: {error}")
+                continue
+            names.append(object_id)
+            line.say("\n  ".join([f"{object_id}: {made.file}", *made.report]))
+            line.update(number + 1)
+    if names:
+        click.echo(f"use: export ROBOXIM_CONFIG_PATH={out}")
+        click.echo(f"see: roboxim assets sheet {' '.join(names[:5])}")
+    if failed:
+        raise RoboximError(f"{failed} of {len(meshes)} meshes were not imported", ErrorCode.INVALID_CONFIG)
 
 
 @command.command("new")

@@ -284,7 +284,8 @@ def _grasp(grasp: GraspAnnotation, model: ObjectModel, points: Array, max_openin
         ]
     tcp = object_link_poses(model, {})[grasp.link or model.links[0].name] @ grasp.pose
     local = tcp.inverse().apply(points)
-    between = local[(np.abs(local) < (PAD_HALF_M, max_opening_m / 2, PAD_HALF_M)).all(axis=1)]
+    reach_m = min(grasp.opening_m, max_opening_m) / 2
+    between = local[(np.abs(local) < (PAD_HALF_M, reach_m, PAD_HALF_M)).all(axis=1)]
     if not len(between):
         return [_error(f"grasp '{grasp.name}' closes on nothing: its pose must be the tool centre point in the object")]
     if (reach := np.abs(between[:, 1]).max()) > grasp.width_m / 2 + GRIP_SLACK_M:

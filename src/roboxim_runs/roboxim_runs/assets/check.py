@@ -48,10 +48,10 @@ def check(target: str, library: ModelLibrary) -> list[Finding]:
     found, model = check_object(path, opening)
     if model is None or any(finding.severity == "error" for finding in found):
         return list(found)
-    return [*found, *_stability(model)]
+    return [*found, *stability(model)]
 
 
-def _stability(model: ObjectModel) -> list[Finding]:
+def stability(model: ObjectModel) -> list[Finding]:
     """Check that an object stays at rest on a table, upright and toppled."""
     found = []
     client = BulletClient()

@@ -1,0 +1,130 @@
+"""Meshes become objects: repaired, cut into convex parts, standing, with grasps that have held."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from click.testing import CliRunner
+
+from roboxim_cli.main import group
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.check import check_object
+from roboxim_runs.assets.grasp_search import antipodal_pairs
+from roboxim_runs.assets.importing import ImportOptions, guessed_unit, import_mesh, object_id_of
+from roboxim_runs.assets.shape_affordances import regions_of
+from roboxim_runs.assets.solids import EFFORTS, convex_parts, repaired
+
+pytest.importorskip("coacd")
+
+
+def bowl() -> trimesh.Trimesh:
+    """Return an open bowl: 12 cm across, walls of 6 mm."""
+    profile = [[0.0, 0.0], [0.04, 0.0], [0.06, 0.05], [0.054, 0.05], [0.037, 0.006], [0.0, 0.006]]
+    return trimesh.creation.revolve(np.array(profile), sections=48)
+
+
+def corner() -> trimesh.Trimesh:
+    """Return an L of two boxes that overlap."""
+    one, other = trimesh.creation.box((0.09, 0.03, 0.03)), trimesh.creation.box((0.03, 0.03, 0.07))
+    other.apply_translation((0.03, 0.0, 0.02))
+    return trimesh.util.concatenate([one, other])
+
+
+def exported(mesh: trimesh.Trimesh, file: Path, scale: float = 1.0) -> Path:
+    mesh.apply_scale(scale)
+    mesh.export(file)
+    return file
+
+
+@pytest.mark.thorough
+def test_a_mesh_in_millimetres_becomes_an_object_without_a_defect(tmp_path):
+    file = exported(corner(), tmp_path / "Corner Piece.stl", 1000.0)
+    made = import_mesh(file, tmp_path / "objects", ImportOptions(mass_kg=0.07, grasps=2))
+    assert made.file == tmp_path / "objects" / "corner_piece.yaml"
+    assert made.graspable
+    found, model = check_object(made.file)
+    assert found == ()
+    assert np.allclose(sorted(model.size), [0.03, 0.07, 0.09], atol=2e-3)
+    assert model.links[0].mass == 0.07
+    assert len(model.links[0].collision) >= 2
+    assert sorted(path.name for path in (tmp_path / "objects").iterdir()) == [
+        "corner_piece.glb", "corner_piece.yaml", "corner_piece_parts",
+    ]  # fmt: skip
+    text = made.file.read_text()
+    assert "unit: mm (guessed" in text
+    assert "joined into one closed surface" in text
+
+
+@pytest.mark.thorough
+def test_an_object_that_cannot_stand_as_in_its_file_is_turned(tmp_path):
+    leaning = trimesh.creation.box((0.04, 0.05, 0.12))
+    leaning.apply_transform(trimesh.transformations.rotation_matrix(0.6, (1, 0, 0)))
+    made = import_mesh(exported(leaning, tmp_path / "block.obj"), tmp_path / "objects", ImportOptions(grasps=1))
+    assert any("does not stand as in the file" in line for line in made.report)
+    assert check_object(made.file)[0] == ()
+    assert np.allclose(sorted(made.size_m), [0.04, 0.05, 0.12], atol=1e-3)
+
+
+@pytest.mark.thorough
+def test_a_hollow_a_top_and_neither_are_told_apart():
+    hollow = regions_of(convex_parts(bowl(), EFFORTS["thorough"]))
+    assert [region.kind for region in hollow] == ["interior"]
+    assert 0.05 < hollow[0].size[0] < 0.09
+    assert 0.03 < hollow[0].size[2] < 0.05
+    box, ball = trimesh.creation.box((0.08, 0.06, 0.03)), trimesh.creation.icosphere(radius=0.03)
+    (top,) = regions_of([box])
+    assert (top.kind, top.pose.position[2]) == ("surface", 0.015)
+    assert 0.05 < top.size[0] < 0.06
+    assert regions_of([ball]) == []
+
+
+@pytest.mark.parametrize("broken", ["inside out", "hole", "whole"])
+def test_a_surface_is_closed_and_points_outwards(broken):
+    mesh = trimesh.creation.box((0.05, 0.04, 0.03))
+    if broken == "inside out":
+        mesh.invert()
+    if broken == "hole":
+        mesh.update_faces(np.arange(len(mesh.faces)) != 3)
+    solid, said = repaired(mesh)
+    assert solid.is_volume
+    assert solid.volume == pytest.approx(6e-5)
+    assert bool(said) == (broken != "whole")
+
+
+def test_antipodal_pairs_of_a_plate_are_across_its_narrow_side():
+    pairs = antipodal_pairs(trimesh.creation.box((0.2, 0.05, 0.03)), 0.07)
+    way = np.abs(pairs[:, 1] - pairs[:, 0])
+    assert len(pairs) > 50
+    assert np.allclose(way[:, 1], 0.05, atol=1e-6)
+
+
+def test_what_cannot_be_imported_is_named_and_leaves_nothing(tmp_path):
+    flat = trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], [[0, 1, 2]])
+    with pytest.raises(ConfigError, match="flat"):
+        import_mesh(exported(flat, tmp_path / "flat.stl"), tmp_path / "objects")
+    (tmp_path / "broken.obj").write_text("nothing")
+    with pytest.raises(ConfigError, match="cannot read the mesh|has no faces"):
+        import_mesh(tmp_path / "broken.obj", tmp_path / "objects")
+    assert list((tmp_path / "objects").iterdir()) == []
+    assert object_id_of(Path("12 Käse.STL")) == "object_12_k_se"
+    assert [guessed_unit(length) for length in (0.2, 12.0, 80.0, 3000.0)] == ["m", "cm", "mm", "mm"]
+
+
+def test_the_command_imports_what_it_can_and_tells_of_the_rest(tmp_path):
+    good = exported(trimesh.creation.cylinder(0.03, 0.05), tmp_path / "tin.stl")
+    (tmp_path / "bad.obj").write_text("v 0 0 0\n")
+    arguments = ["assets", "import", str(good), str(tmp_path / "bad.obj"), "--out", str(tmp_path / "mine")]
+    done = CliRunner().invoke(group, arguments)
+    assert done.exit_code != 0
+    assert "bad: not imported" in done.output
+    assert "grasps: 8 hold of" in done.output
+    model = yaml.safe_load((tmp_path / "mine" / "objects" / "tin.yaml").read_text())
+    assert model["name"] == "tin"
+    assert set(model["affordances"]) >= {"graspable", "support"}
+    again = CliRunner().invoke(group, arguments[:3] + arguments[4:])
+    assert again.exit_code == 0
+    assert "is there already" in again.output
