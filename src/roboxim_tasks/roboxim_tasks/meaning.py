@@ -68,6 +68,25 @@ def read_instruction(
     return Reading(understood=understood, tasks=tuple(tasks), absent=tuple(dict.fromkeys(absent)) if not tasks else ())
 
 
+def canonical_instruction(task: TaskSpec, library: ModelLibrary) -> str:
+    """Return a task's instruction in its skill's first wording; empty: the instruction follows none of the wordings.
+
+    Args:
+        task: The task; one of an unknown skill has no other wording.
+        library: Library of the nouns.
+    """
+    if task.skill not in SKILLS:
+        return ""
+    skill = SKILLS[task.skill]
+    first = next(iter(skill.templates), "")
+    names = {name for _, name, _, _ in Formatter().parse(first) if name}
+    for template in skill.templates:
+        words = _match(template, task.instruction, skill, library)
+        if words is not None and names <= words.keys():
+            return first.format_map(words)
+    return ""
+
+
 def asks_for_same(first: TaskSpec, second: TaskSpec) -> bool:
     """Return whether two tasks are of the same skill, objects and words, thresholds aside."""
     if first.skill != second.skill:

@@ -24,27 +24,13 @@ from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.seeds import SeedPath
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
+from roboxim_runs.answers.trying import IN_MEMORY, GivenScene
 from roboxim_studio.episode.film import Film, Pictures
 
 if TYPE_CHECKING:
     from roboxim_bringup.core_graph import CoreGraph, CoreRecorder, CoreSim  # a second to import: when it is needed
 
-IN_MEMORY = "/"
-"""Output folder of a run that is kept in memory: the loop records only if it has one."""
-
 OnTick = Callable[[StateRecord, EpisodeStep], None]
-
-
-class GivenScene:
-    """The scene port of an episode whose task and scene are given."""
-
-    def __init__(self, draw: Draw) -> None:
-        """Give a draw."""
-        self._draw = draw
-
-    def draw(self, seed: SeedPath, task_config: str) -> Draw:
-        """Return the draw, whatever the seed."""
-        return self._draw
 
 
 class FilmRecorder:

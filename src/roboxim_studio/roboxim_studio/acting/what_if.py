@@ -6,16 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from roboxim_core.actions import ActionArray, ActionSemantics
 from roboxim_core.episode import ActorPort, Draw, RunConfig
 from roboxim_core.errors import ConfigError, ErrorCode, SimError, one_of
-from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, PolicyDescription
+from roboxim_core.policies import Observation, PolicyDescription
 from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
+from roboxim_runs.answers.hand_over import HandOver
 from roboxim_studio.acting.take import OnTick, take
 from roboxim_studio.episode.film import Film
 from roboxim_tasks.roles import task_distractors
@@ -84,7 +83,10 @@ def ask(
     """
     task, scene = _checked(film, question, actor)
     same = not question.without
-    handed = HandOver(film, question.tick, actor)
+    recorded = PolicyDescription(
+        name=RECORDED.replace(" ", "_"), semantics=film.info.semantics, version=film.info.actor_version
+    )
+    handed = HandOver(film.states, question.tick, actor, recorded=recorded, last=film.result.steps)
     sim = Disturbing(graph.sim, film, question, require_same=same)
     info = film.info
     seed = SeedPath(run_seed=info.run_seed, purpose=info.purpose, index=info.index, attempt=info.attempt)
@@ -127,43 +129,6 @@ def _checked(film: Film, question: Question, actor: ActorPort | None) -> tuple[T
                 "choose an actor of the same control mode"
             )
     return task, scene
-
-
-class HandOver:
-    """An actor that repeats recorded actions up to a tick and then lets another one act, or goes on repeating."""
-
-    def __init__(self, film: Film, tick: int, then: ActorPort | None) -> None:
-        """Repeat a film's actions up to a tick.
-
-        Args:
-            film: The episode.
-            tick: The last tick that they lead to.
-            then: Who acts from there; none: the recorded actions go on.
-        """
-        self._states, self._tick, self._then, self._last = film.states, tick, then, film.result.steps
-        self._recorded = PolicyDescription(
-            name=RECORDED.replace(" ", "_"), semantics=film.info.semantics, version=film.info.actor_version
-        )
-
-    def describe(self) -> PolicyDescription:
-        """Return the description of who acts from the tick on."""
-        return self._recorded if self._then is None else self._then.describe()
-
-    def reset(self, start: EpisodeStart) -> None:
-        """Start an episode."""
-        if self._then is not None:
-            self._then.reset(start)
-
-    def act(self, window: ObservationWindow) -> ActionChunk:
-        """Return the next action."""
-        after = window.seq + 1
-        if self._then is not None and window.seq >= self._tick:
-            return self._then.act(window)
-        return ActionChunk(actions=_action(self._states[after])[None], done=after == self._last and self._then is None)
-
-
-def _action(state: StateRecord) -> ActionArray:
-    return np.array(state.action_executed, np.float32)
 
 
 class Disturbing:

@@ -1,0 +1,73 @@
+"""Run two policies in the same scenes, and find the moment that decides by swapping them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from roboxim_cli import strict
+from roboxim_cli.commands.answers._policies import policy_options
+from roboxim_cli.options import option
+
+
+@strict.command()
+@click.argument("first", metavar="A")
+@click.argument("second", metavar="B")
+@policy_options
+@option("task")
+@option("episodes", default=10, help="Number of scenes.")
+@option("seed")
+@option("size", help="Image size of cameras for which a policy states none.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def command(
+    first: str, second: str, checkpoints: tuple[str, ...], policy_options: tuple[str, ...], task: str, episodes: int,
+    seed: int, size: Any, as_json: bool,
+) -> None:  # fmt: skip
+    r"""Run policies A and B in the same scenes, and find the moment that decides.
+
+    \b
+    roboxim compare-policies old=bc new=bc --checkpoint old=runs/bc_1 --checkpoint new=runs/bc_2 --task pick_cube
+    roboxim compare-policies expert bc --checkpoint runs/bc --episodes 20
+
+    Where one succeeds and the other fails, both are swapped at a tick, from exactly the same state: the first tick from
+    which the loser succeeds decides.
+    """
+    import dataclasses
+    import json
+
+    from roboxim_cli.commands.answers._policies import chosen
+    from roboxim_core.episode import RunConfig
+    from roboxim_eval.answers.moments import SceneComparison, summary
+    from roboxim_runs.answers.comparing import CompareRun, compare
+    from roboxim_runs.answers.trying import TryBench
+    from roboxim_runs.episodes.task_choice import task_text
+
+    one, two = chosen([first, second], checkpoints, policy_options)
+    width, height = size if isinstance(size, tuple) else (size or 0, size or 0)
+    config = CompareRun(
+        task_config=task_text(task), scenes=episodes, seed=seed, run=RunConfig(image_width=width, image_height=height)
+    )
+
+    def told(scene: SceneComparison) -> None:
+        ends = ["succeeds" if success else "fails" for success in scene.outcome]
+        text = f"scene {scene.scene}: {one.name} {ends[0]}, {two.name} {ends[1]}"
+        if scene.diverge_at is not None:
+            text += f"; they differ from tick {scene.diverge_at}"
+        if scene.decides_at is not None:
+            text += f"; tick {scene.decides_at} of {scene.ticks} decides: {scene.phase}"
+        if scene.rescued_until is not None:
+            text += f"; rescued until tick {scene.rescued_until}"
+        click.echo(text, err=as_json)
+
+    with TryBench() as bench:
+        found = compare(bench, bench.actor(one), bench.actor(two), config, on_scene=told)
+        runs = bench.runs
+    sentences = summary((one.name, two.name), found)
+    if as_json:
+        scenes = [dataclasses.asdict(scene) for scene in found]
+        click.echo(json.dumps({"scenes": scenes, "sentences": sentences, "runs": runs}, indent=2))
+        return
+    for sentence in sentences:
+        click.echo(sentence)
+    click.echo(f"{runs} runs")

@@ -1,0 +1,60 @@
+"""Run a failed episode again with one thing changed, and name what it failed by."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from roboxim_cli import strict
+from roboxim_cli.commands.answers._policies import policy_options
+
+
+@strict.command()
+@click.argument("place", metavar="EPISODE", type=click.Path(exists=True, path_type=Path))
+@click.argument("number", type=click.IntRange(0), required=False)
+@click.option("--policy", required=True, metavar="SPEC", help="The policy that failed, as evaluate takes it.")
+@policy_options
+@click.option("--repeats", default=5, show_default=True, help="Runs of each change, at least 3.")
+@click.option("--change", "only", multiple=True, metavar="NAME", help="Try only this change; may be repeated.")
+@click.option("--pairs/--no-pairs", default=True, show_default=True, help="Try two changes where no one is a cause.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def command(
+    place: Path, number: int | None, policy: str, checkpoints: tuple[str, ...], policy_options: tuple[str, ...],
+    repeats: int, only: tuple[str, ...], pairs: bool, as_json: bool,
+) -> None:  # fmt: skip
+    r"""Run a failed episode again with one thing changed, a few times each, and name what it failed by.
+
+    \b
+    roboxim explain runs/evaluation 7 --policy bc --checkpoint runs/bc
+    roboxim explain runs/evaluation/bc/episodes/eval-0-00007-0 --policy bc --checkpoint runs/bc --change distractors
+
+    EPISODE is a bag, or the folder of a run or an evaluation with the episode's NUMBER. Changes: distractors, color,
+    camera, light, surfaces, physics, words, start, place; those that are nominal in the episode are left out.
+    """
+    import dataclasses
+    import json
+
+    from roboxim_cli.commands.answers._policies import chosen
+    from roboxim_eval.answers.causes import Tally
+    from roboxim_recorder.bag import BagReader
+    from roboxim_runs.answers.explaining import ExplainConfig, explain
+    from roboxim_runs.answers.trying import TryBench
+    from roboxim_runs.evaluation.finding import find_episode
+
+    config = ExplainConfig(repeats=repeats, only=only, pairs=pairs)
+    policies = chosen([policy], checkpoints, policy_options)
+    info = BagReader(find_episode(place, number).bag).info
+
+    def told(tally: Tally) -> None:
+        click.echo(f"  {tally.words}: {tally.successes} of {tally.runs}", err=as_json)
+
+    click.echo(f"{info.episode_id}: {info.task.instruction}", err=as_json)
+    with TryBench() as bench:
+        found = explain(bench, info, bench.actor(policies[0]), config, on_tally=told)
+        runs = bench.runs
+    if as_json:
+        click.echo(json.dumps(dataclasses.asdict(found) | {"sentence": found.sentence, "runs": runs}, indent=2))
+        return
+    click.echo(found.sentence)
+    click.echo(f"{runs} runs")

@@ -1,0 +1,106 @@
+"""Compares two policies in the same scenes: where they part, and which moment decides, by swapping them at a tick."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from roboxim_core.episode import ActorPort, Draw, RunConfig
+from roboxim_core.errors import ConfigError, ErrorCode, SimError
+from roboxim_core.seeds import SeedPath
+from roboxim_eval.answers.moments import SceneComparison, first_success, phase_at
+from roboxim_runs.answers.hand_over import HandOver
+from roboxim_runs.answers.trying import Try, TryBench
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareRun:
+    """What is compared."""
+
+    task_config: str
+    """Task configuration, YAML."""
+    scenes: int = 10
+    """Number of scenes."""
+    seed: int = 0
+    """Seed of the scenes."""
+    run: RunConfig = RunConfig()
+    """How the policies act."""
+
+
+def compare(
+    bench: TryBench, first: ActorPort, second: ActorPort, config: CompareRun, *,
+    on_scene: Callable[[SceneComparison], None] = lambda _: None,
+) -> list[SceneComparison]:  # fmt: skip
+    """Compare two policies.
+
+    Args:
+        bench: Cores to run episodes with.
+        first: A policy.
+        second: Another one of the same control mode.
+        config: What is compared.
+        on_scene: Called with each scene.
+
+    Raises:
+        ConfigError: When the policies act by different control modes.
+        RoboximError: When a scene cannot be drawn, or on a fault of the simulator.
+    """
+    modes = {actor.describe().semantics.control for actor in (first, second)}
+    if len(modes) > 1:
+        raise ConfigError(f"policies that act by {' and '.join(sorted(modes))} cannot take over from each other")
+    found = []
+    for number in range(config.scenes):
+        seed = SeedPath(run_seed=config.seed, purpose="eval", index=number)
+        draw = bench.graph.tasks.draw(seed, config.task_config)
+        one = _Scene(bench, draw, seed, config.run).compared(first, second)
+        found.append(one)
+        on_scene(one)
+    return found
+
+
+class _Scene:
+    def __init__(self, bench: TryBench, draw: Draw, seed: SeedPath, run: RunConfig) -> None:
+        self._bench, self._draw, self._seed, self._run = bench, draw, seed, run
+
+    def compared(self, first: ActorPort, second: ActorPort) -> SceneComparison:
+        one, two = (self._bench.run(self._draw, actor, self._seed, config=self._run) for actor in (first, second))
+        parted = diverging(one, two)
+        outcome = (one.success, two.success)
+        result = SceneComparison(scene=self._seed.index, outcome=outcome, diverge_at=parted)
+        if one.success == two.success or parted is None:
+            return result
+        winner, loser, other = (one, two, second) if one.success else (two, one, first)
+        rescuer = first if one.success else second
+        end = winner.result.steps
+        decides, until = None, None
+        if end > parted and self._success(winner, end - 1, other):
+            decides = first_success(lambda tick: self._success(winner, tick, other), parted - 1, end - 1)
+        last = loser.result.steps
+        if last > parted and self._success(loser, parted, rescuer):
+            fails = not self._success(loser, last, rescuer)
+            until = (
+                first_success(lambda tick: not self._success(loser, tick, rescuer), parted, last) - 1 if fails else last
+            )
+        phase = "" if decides is None else phase_at(winner.states, decides)
+        return replace(result, decides_at=decides, rescued_until=until, phase=phase, ticks=end)
+
+    def _success(self, before: Try, tick: int, then: ActorPort) -> bool:
+        """Return whether an actor succeeds from a tick of another one's episode.
+
+        Raises:
+            SimError: With code ``DIVERGED`` when the simulator does not repeat the episode up to the tick.
+        """
+        handed = HandOver(before.states, tick, then)
+        after = self._bench.run(self._draw, handed, self._seed, config=self._run)
+        for ours, theirs in zip(before.states[: tick + 1], after.states, strict=False):
+            if ours.state_hash != theirs.state_hash:
+                raise SimError(f"the simulator does not repeat tick {ours.seq} of the episode", ErrorCode.DIVERGED)
+        return after.success
+
+
+def diverging(one: Try, two: Try) -> int | None:
+    """Return the first tick whose states differ; None: all that both have are the same, bit for bit."""
+    pairs = zip(one.states, two.states, strict=False)
+    return next((a.seq for a, b in pairs if a.state_hash != b.state_hash), None)
+
+
+__all__ = ["CompareRun", "compare", "diverging"]

@@ -1,0 +1,146 @@
+"""Explains a failed episode by running it again with one thing changed."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roboxim_core.episode import ActorPort, Draw, EpisodeInfo, RunConfig
+from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.specs import SceneSpec
+from roboxim_eval.answers.causes import Explanation, Tally, explanation, may_become_cause
+from roboxim_runs.answers.changes import NAMES, Change, both, changes_of
+from roboxim_runs.answers.trying import TryBench, recorded_run, seed_of
+
+JITTER_RAD = 0.004
+"""Standard deviation of each arm joint at the start of a repetition [rad]: repetitions of a policy without chance would
+be one and the same run."""
+MOST_PAIRS = 36
+"""Largest number of pairs of changes that are tried."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExplainConfig:
+    """How much is tried."""
+
+    repeats: int = 5
+    """Runs of each change; fewer than 5 cannot show a cause among several changes."""
+    only: tuple[str, ...] = ()
+    """Names of the changes to try; empty: all."""
+    pairs: bool = True
+    """Whether to try two changes together where none alone is a cause."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ConfigError: When a number is too small or a name unknown.
+        """
+        if self.repeats < 3:
+            raise ConfigError(f"repeats must be at least 3, got {self.repeats}")
+        for name in self.only:
+            if name not in NAMES:
+                raise ConfigError(f"unknown change '{name}'; {one_of(NAMES, name)}")
+
+
+def explain(
+    bench: TryBench, info: EpisodeInfo, actor: ActorPort, config: ExplainConfig | None = None, *,
+    on_tally: Callable[[Tally], None] = lambda _: None,
+) -> Explanation:  # fmt: skip
+    """Explain why an episode failed.
+
+    The first repetition is the episode as it was recorded; the others start with slightly other joints, and other
+    seeds of the policy. All changes have the same repetitions. A change that can no longer be shown to be a cause is
+    given up.
+
+    Args:
+        bench: Cores to run episodes with.
+        info: The episode.
+        actor: Its policy.
+        config: How much is tried; none: the default.
+        on_tally: Called with each change when its runs are done.
+
+    Raises:
+        ConfigError: When nothing can be changed, or the bag does not say how it was run.
+        RoboximError: On a fault of the simulator.
+    """
+    config = config or ExplainConfig()
+    changes = [c for c in changes_of(info, bench.graph.sim.library) if not config.only or c.name in config.only]
+    if not changes:
+        raise ConfigError(f"nothing of {info.episode_id} can be changed: no distractors, and all else is nominal")
+    run = _Repeats(bench, info, actor)
+    nothing = Change(name="", words="as it was", apply=lambda task, scene, _: (task, scene))
+    as_it_was = run.all_of(nothing, config.repeats)
+    on_tally(as_it_was)
+
+    def tallies(group: Sequence[Change]) -> Iterator[Tally]:
+        repeats = _enough(config.repeats, as_it_was, len(group))
+        for change in group:
+            found = run.while_undecided(change, repeats, as_it_was, len(group))
+            if found.runs:
+                on_tally(found)
+                yield found
+
+    singles = list(tallies(changes))
+    found = explanation(as_it_was, singles)
+    if found.kind != "none" or not config.pairs:
+        return found
+    pairs = [both(one, two) for one, two in itertools.combinations(_promising(changes, singles), 2)][:MOST_PAIRS]
+    return explanation(as_it_was, singles, list(tallies(pairs)))
+
+
+def _enough(repeats: int, as_it_was: Tally, changes: int) -> int:
+    """Return how many runs can show one of some changes to be a cause, from ``repeats`` to twice as many."""
+    nothing = Tally(name="", words="", successes=0, runs=0)
+    enough = (n for n in range(repeats, 2 * repeats) if may_become_cause(nothing, n, as_it_was, changes))
+    return next(enough, 2 * repeats)
+
+
+def _promising(changes: Iterable[Change], singles: Sequence[Tally]) -> list[Change]:
+    """Return the changes whose episodes began, those with successes first."""
+    successes = {tally.name: tally.successes for tally in singles}
+    return sorted((c for c in changes if c.name in successes), key=lambda c: -successes[c.name])
+
+
+class _Repeats:
+    def __init__(self, bench: TryBench, info: EpisodeInfo, actor: ActorPort) -> None:
+        self._bench, self._info, self._actor = bench, info, actor
+        self._config, self._draw = recorded_run(info)
+
+    def all_of(self, change: Change, repeats: int) -> Tally:
+        outcomes = [found for number in range(repeats) if (found := self._one(change, number)) is not None]
+        return Tally(name=change.name, words=change.words, successes=sum(outcomes), runs=len(outcomes))
+
+    def while_undecided(self, change: Change, repeats: int, as_it_was: Tally, changes: int) -> Tally:
+        tally = Tally(name=change.name, words=change.words, successes=0, runs=0)
+        for number in range(repeats):
+            if not may_become_cause(tally, repeats, as_it_was, changes):
+                break
+            success = self._one(change, number)
+            if success is None:
+                break
+            tally = replace(tally, successes=tally.successes + success, runs=tally.runs + 1)
+        return tally
+
+    def _one(self, change: Change, number: int) -> bool | None:
+        """Return whether a repetition succeeds; None: the changed scene breaks a constraint."""
+        task, scene = change.apply(self._draw.task, self._draw.scene, number)
+        seed = seed_of(self._info)
+        draw: Draw = replace(self._draw, task=task, scene=self._started(scene, number))
+        run: RunConfig = self._config
+        found = self._bench.run(draw, self._actor, replace(seed, attempt=seed.attempt + number), config=run)
+        return found.success if found.began else None
+
+    def _started(self, scene: SceneSpec, number: int) -> SceneSpec:
+        if not number:
+            return scene
+        joints = scene.robot.joint_positions or self._bench.graph.sim.library.robot(scene.robot.model).home
+        rng = np.random.default_rng([number, self._info.index])
+        moved = tuple(float(q + d) for q, d in zip(joints, rng.normal(0, JITTER_RAD, len(joints)), strict=True))
+        return replace(scene, robot=replace(scene.robot, joint_positions=moved))
+
+
+__all__ = ["ExplainConfig", "explain"]

@@ -1,0 +1,142 @@
+"""Explanations of episodes that failed by planted causes: which are named."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+import yaml
+
+from roboxim_bringup.core_graph import CoreActor
+from roboxim_core.config_folders import named_config
+from roboxim_core.episode import RunConfig
+from roboxim_core.errors import ConfigError, SimError
+from roboxim_core.plain_data.merging import merged
+from roboxim_core.seeds import SeedPath
+from roboxim_runs.answers.changes import changes_of
+from roboxim_runs.answers.explaining import ExplainConfig, explain
+from roboxim_runs.answers.measures import scene_measures
+from roboxim_runs.answers.trying import TryBench
+from roboxim_runs.policies.planted_causes import FailsWhere
+
+CHANGED = {
+    "paraphrases": True,
+    "distractors": {"minimum": 1},
+    "reset": {"cameras": {"names": ["workspace"]}, "physics": {}},
+}
+CAUSES = {
+    "distractors": {"distractors": [1, 9]},
+    "color": {"color": "?"},
+    "camera": {"camera": [0.03, 1]},
+    "light": {"light": [0, 2.2]},
+    "physics": {"friction": [0, 0.65]},
+    "words": {"paraphrased": [1, 1]},
+    "start": {"start": [0.12, 9]},
+    "place": {"x": [0, 0.46]},
+}
+"""Change to the condition that it takes away; ``?`` is the drawn colour."""
+PAIRS = (("distractors", "light"), ("camera", "start"))
+IMAGES = RunConfig(image_width=64, image_height=64)
+
+
+def task_text():
+    task = yaml.safe_load(named_config("tasks", "pick_cube_randomised").read_text())
+    return yaml.safe_dump(merged(task, CHANGED))
+
+
+pytestmark = pytest.mark.thorough
+
+
+@pytest.fixture(scope="module")
+def bench():
+    try:
+        made = TryBench()
+    except SimError as error:
+        pytest.skip(str(error))
+    with made:
+        yield made
+
+
+def failures(bench, names, wanted):
+    """Yield failed episodes that have all conditions of some causes, with the policy that they fail."""
+    number, found = 0, 0
+    while found < wanted:
+        seed = SeedPath(run_seed=41, purpose="eval", index=number)
+        number += 1
+        draw = bench.graph.tasks.draw(seed, task_text())
+        measures = scene_measures(draw.task, draw.scene, bench.graph.sim.library)
+        conditions = [dict(CAUSES[name]) for name in names]
+        for condition in conditions:
+            if condition.get("color") == "?":
+                condition["color"] = measures["color"]
+        if not all(_holds(measures, condition) for condition in conditions):
+            continue
+        actor = CoreActor(FailsWhere(conditions=conditions))
+        tried = bench.run(draw, actor, seed, config=IMAGES)
+        if tried.info is not None and not tried.success:
+            found += 1
+            yield tried.info, actor
+
+
+def _holds(measures, condition):
+    ((name, wanted),) = condition.items()
+    value = measures.get(name)
+    return value == wanted if isinstance(wanted, str) else value is not None and wanted[0] <= value <= wanted[1]
+
+
+def test_only_what_is_not_nominal_can_be_changed(bench):
+    draw = bench.graph.tasks.draw(SeedPath(run_seed=41, purpose="eval", index=0), task_text())
+    info = bench.run(draw, CoreActor(FailsWhere(conditions=[{"distractors": [0, 9]}])), SeedPath(
+        run_seed=41, purpose="eval", index=0), config=IMAGES).info  # fmt: skip
+    changes = {change.name: change for change in changes_of(info, bench.graph.sim.library)}
+    assert {"distractors", "color", "camera", "light", "physics", "start"} <= changes.keys()
+    for name, change in changes.items():
+        task, scene = change.apply(info.task, info.scene, 0)
+        assert (task, scene) != (info.task, info.scene), name
+        if name == "distractors":
+            assert all(not role.startswith("distractor") for role in task.objects)
+            assert len(scene.entities) == len(info.scene.entities) - sum(
+                "distractor" in e.name for e in info.scene.entities
+            )
+        if name == "color":
+            assert task.objects["target"].modifiers["color"] in task.instruction
+    with pytest.raises(ConfigError, match="unknown change 'colour'.*color"):
+        ExplainConfig(only=("colour",))
+
+
+def test_a_planted_cause_is_named(bench):
+    info, actor = next(failures(bench, ["light"], 1))
+    found = explain(bench, info, actor, ExplainConfig(only=("light", "color")))
+    assert (found.kind, found.causes[0].name) == ("single", "light")
+    assert found.sentence.startswith("In the nominal light it succeeds 5 of 5")
+
+
+@pytest.mark.slow
+def test_nine_of_ten_planted_causes_are_named(bench):
+    """The table of docs/how-to/answers.md: run this file as a program."""
+    rows = list(benchmark(bench, 2))
+    right = sum(row[1] for row in rows)
+    assert right >= 0.9 * sum(row[2] for row in rows), rows
+
+
+def benchmark(bench, wanted):
+    """Yield the causes that were planted, how often they were named, of how many, runs and seconds of an episode."""
+    for names in [*([name] for name in CAUSES), *PAIRS]:
+        right, runs, began = 0, bench.runs, time.monotonic()
+        for info, actor in failures(bench, names, wanted):
+            found = explain(bench, info, actor)
+            expected = "single" if len(names) == 1 else "together"
+            told = {name for cause in found.causes for name in cause.name.split("+")}
+            right += found.kind == expected and told == set(names)
+        yield "+".join(names), right, wanted, (bench.runs - runs) / wanted, (time.monotonic() - began) / wanted
+
+
+def main():
+    """Print the table of docs/how-to/answers.md."""
+    with TryBench() as bench:
+        for name, right, wanted, runs, seconds in benchmark(bench, 2):
+            print(f"| {name} | {right} of {wanted} | {runs:.0f} | {seconds:.0f} s |", flush=True)  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()
