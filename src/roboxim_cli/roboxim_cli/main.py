@@ -23,7 +23,7 @@ FOLDERS = ("commands", "ros")
 SECTIONS = {
     "The main job": ("demo", "tasks", "generate", "merge", "export", "dataset", "train", "evaluate", "report"),
     "Experiments": ("experiment", "benchmark", "audit-benchmark"),
-    "Why a policy fails": ("explain", "compare-policies"),
+    "Why a policy fails": ("explain", "compare-policies", "mine"),
     "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor", "upgrade-check"),
     "Planning": ("planner",),
     "Recordings": ("show", "bag", "replay", "rerender", "view"),

@@ -66,7 +66,7 @@ def test_cards_of_parts_are_joined_and_others_are_refused():
     cards = [planted_card(d, lambda c, _: rate[c], seed=n) for n, d in enumerate(parts_of())]
     found = joined(cards)
     assert (found.sets, found.cells, found.trainings) == (6, 3, 1)
-    assert found.gap.interval().low < 0.3 < found.gap.interval().high
+    assert found.gap_of_all_cells.low < 0.3 < found.gap_of_all_cells.high
     assert found.gap.p_value < 0.01
     with pytest.raises(ConfigError, match="held out in two parts"):
         joined([*cards[:3], cards[0]])
@@ -134,7 +134,7 @@ def coverage(rates, spread, shape, *, unequal=False, experiments=EXPERIMENTS):
                  second=arm(successes[number, 0, s], many[number, 0, s]))
             for s in range(shape[0])
         ])  # fmt: skip
-        gap = score.gap.interval()
+        gap = score.gap_of_all_cells
         intervals = {"absolute": score.absolute, "baseline": score.baseline, "gap": gap}
         for name, interval in intervals.items():
             held[name] += interval.low <= truth[name] <= interval.high
@@ -160,7 +160,7 @@ def test_intervals_hold_in_some_simulated_experiments(rates):
 @pytest.mark.thorough
 @pytest.mark.parametrize("shape", DESIGNS, ids=str)
 def test_every_interval_holds_and_verdicts_are_rarely_false(shape):
-    """The table of docs/how-to/experiments.md: run this file as a program."""
+    """The table of docs/explanation/statistics.md: run this file as a program."""
     for _, unequal, rates, spread in (case for case in cases() if case[0] == shape):
         found = coverage(rates, spread, shape, unequal=unequal)
         assert min(found[name] for name in INTERVALS) >= 0.94, (unequal, rates, spread)
@@ -168,7 +168,7 @@ def test_every_interval_holds_and_verdicts_are_rarely_false(shape):
 
 
 def main():
-    """Print the table of docs/how-to/experiments.md: the lowest coverage and the highest share of false verdicts."""
+    """Print the table of docs/explanation/statistics.md: lowest coverages, highest share of false verdicts."""
     for shape in DESIGNS:
         for rates in RATES:
             found = [coverage(rates, spread, shape, unequal=u) for u in (False, True) for spread in SPREADS]

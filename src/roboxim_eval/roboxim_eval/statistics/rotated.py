@@ -20,6 +20,7 @@ from roboxim_core.errors import InvalidRequestError
 from roboxim_eval.statistics.components import student_limit
 from roboxim_eval.statistics.replicates import ConditionDifference, Interval, condition_difference, condition_rate
 from roboxim_eval.statistics.tables import Arm, total
+from roboxim_eval.statistics.training_spread import mean_rate_interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +49,9 @@ class RotatedScore:
     """That of the baseline, with cells as a sample."""
     gap: ConditionDifference
     """What holding out costs, baseline minus leave-out, a difference for each set: with cells as a sample."""
+    gap_of_all_cells: Interval
+    """95 % interval of the gap with cells as a sample: the union of Student's t over the sets and of one from both
+    rates' own intervals, which holds where rates are near 0 or 1 and few sets agree by chance."""
     gap_of_these_cells: Interval
     """95 % interval of the gap over the cells of this design."""
 
@@ -68,11 +72,12 @@ def rotated_score(parts: Sequence[Part]) -> RotatedScore:
             f"sets of {sorted(sizes)}"
         )
     first, second = (_by_set([getattr(part, name) for part in parts]) for name in ("first", "second"))
-    gap = condition_difference(second, first)
+    gap, low, high = condition_difference(second, first), condition_rate(first), condition_rate(second)
+    union = _union(gap.interval(), high, low)
     return RotatedScore(
         sets=len(parts), cells=len(first.cells), trainings=len(parts[0].first.replicates),
-        absolute=condition_rate(first), baseline=condition_rate(second), gap=gap,
-        gap_of_these_cells=_of_these_cells(parts, gap),
+        absolute=low, baseline=high, gap=gap, gap_of_all_cells=union,
+        gap_of_these_cells=_of_these_cells(parts, gap) if len(parts[0].first.replicates) > 1 else union,
     )  # fmt: skip
 
 
@@ -85,19 +90,45 @@ def _by_set(arms: Sequence[Arm]) -> Arm:
     return replace(arms[0], replicates=tuple(rows))
 
 
+def _union(interval: Interval, baseline: Interval, absolute: Interval) -> Interval:
+    """Return an interval of a difference that reaches at least as far as those of both rates imply.
+
+    Source:
+        Method of variance estimates recovery: Zou and Donner, Statistics in Medicine 27 (2008).
+    """
+    below = math.hypot(baseline.value - baseline.low, absolute.high - absolute.value)
+    above = math.hypot(baseline.high - baseline.value, absolute.value - absolute.low)
+    return Interval(
+        value=interval.value, low=max(-1.0, min(interval.low, interval.value - below)),
+        high=min(1.0, max(interval.high, interval.value + above)),
+    )  # fmt: skip
+
+
 def _of_these_cells(parts: Sequence[Part], gap: ConditionDifference) -> Interval:
-    trainings = len(parts[0].first.replicates)
-    if trainings < 2:
-        return gap.interval()
+    """Return the interval from the trainings' spread within the sets; there are at least two in each."""
     differences = np.array([part.second.rates - part.first.rates for part in parts])  # (sets, trainings)
     freedom = differences.size - len(parts)
     spread = math.sqrt(float(differences.var(axis=1, ddof=1).mean()))
     half = student_limit(freedom) * spread / math.sqrt(differences.size)
     alone = replace(gap, differences=(gap.value,) * len(parts)).interval()  # no spread: the rollouts' part
-    return Interval(
-        value=gap.value, low=max(-1.0, min(gap.value - half, alone.low)),
-        high=min(1.0, max(gap.value + half, alone.high)),
+    among = Interval(
+        value=gap.value, low=min(gap.value - half, alone.low), high=max(gap.value + half, alone.high)
     )  # fmt: skip
+    first, second = (_within_sets([getattr(part, name) for part in parts]) for name in ("first", "second"))
+    return _union(among, second, first)
+
+
+def _within_sets(arms: Sequence[Arm]) -> Interval:
+    """Return the interval of a rate over these cells: `mean_rate_interval` without what sets differ by."""
+    rates = np.array([arm.rates for arm in arms])  # (sets, trainings)
+    trainings = rates.shape[1]
+    spread = (rates - rates.mean(axis=1, keepdims=True)) * math.sqrt(trainings / (trainings - 1))
+    alike = np.clip(rates.mean() + spread, 0.0, 1.0).ravel()
+    counts = [count.episodes for arm in arms for replicate in arm.replicates for count in replicate.values()]
+    episodes = len(counts) / rates.size * len(counts) / sum(1 / count for count in counts if count)
+    low, high = mean_rate_interval(alike.tolist(), episodes)
+    value = float(rates.mean())
+    return Interval(value=value, low=min(low, value), high=max(high, value))
 
 
 __all__ = ["Part", "RotatedScore", "rotated_score"]

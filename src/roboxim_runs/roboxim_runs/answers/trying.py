@@ -83,9 +83,9 @@ class Try:
     result: EpisodeResult
     """How it ended."""
     states: tuple[StateRecord, ...]
-    """State of every tick, those of settling included."""
+    """State of every tick, those of settling included; empty if it was recorded."""
     info: EpisodeInfo | None
-    """What defines it; none: it did not begin."""
+    """What defines it; none: it did not begin, or was recorded."""
 
     @property
     def success(self) -> bool:
@@ -137,7 +137,7 @@ class TryBench:
 
     def run(
         self, draw: Draw, actor: ActorPort, seed: SeedPath, *, config: RunConfig | None = None,
-        sim: SimPort | None = None,
+        sim: SimPort | None = None, bags: Path | None = None,
     ) -> Try:  # fmt: skip
         """Run an episode to its end.
 
@@ -147,13 +147,17 @@ class TryBench:
             seed: Names the episode, and seeds the actor.
             config: Configuration of the run; none: the default.
             sim: The simulator's port; none: the graph's.
+            bags: Folder for a bag of it; none: there is none.
 
         Raises:
             RoboximError: On a fault of the simulator.
         """
+        from roboxim_bringup.core_graph import CoreRecorder
+
         keeper = StateKeeper(self.graph.sim)
+        recorder = keeper if bags is None else CoreRecorder(self.graph.sim, bags.absolute())
         ports = Ports(
-            scenes=GivenScene(draw), sim=sim or self.graph.sim, actor=actor, judge=self.graph.tasks, recorder=keeper,
+            scenes=GivenScene(draw), sim=sim or self.graph.sim, actor=actor, judge=self.graph.tasks, recorder=recorder,
             clock=time.monotonic,
         )  # fmt: skip
         runner = EpisodeRunner(ports, replace(config or RunConfig(), output_dir=IN_MEMORY))

@@ -50,7 +50,7 @@ def join(cards: tuple[Path, ...], as_json: bool) -> None:
     from roboxim_runs.experiments.report import stored_card
 
     found = joined([stored_card(path) for path in cards])
-    sampled = found.gap.interval()
+    sampled = found.gap_of_all_cells
     if as_json:
         intervals = {
             "absolute": found.absolute, "baseline": found.baseline, "gap_cells_random": sampled,

@@ -1,0 +1,229 @@
+"""Searches the continuous factors of a task for regions where a policy fails."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from roboxim_core.config import parse_yaml
+from roboxim_core.episode import ActorPort, RunConfig
+from roboxim_core.errors import ConfigError, ErrorCode, RoboximError, one_of
+from roboxim_core.poses import Array
+from roboxim_core.seeds import SeedPath
+from roboxim_eval.answers.regions import Factor, Region, SearchConfig, search
+from roboxim_runs.answers.trying import TryBench
+
+Place = tuple[str | int, ...]
+WORDS = {
+    "reset.objects.area": "the object",
+    "reset.objects.yaw_rad": "yaw of the object",
+    "reset.lights.intensity": "light intensity",
+    "reset.physics.table_friction": "friction of the table",
+    "reset.robot.yaw_rad": "yaw of the gripper at the start",
+}
+EDGES = {
+    "reset.objects.area.0": ("near edge of its area", "far edge of its area"),
+    "reset.objects.area.1": ("right edge of its area", "left edge of its area"),
+}
+"""What lies at the ends of a range, seen from the robot."""
+WIDTH = 1e-6
+"""Part of its range that a factor keeps at a point: a range must not be empty."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MineConfig:
+    """What is searched."""
+
+    task_config: str
+    """Task configuration, YAML; its ranges are the factors."""
+    factors: tuple[str, ...] = ()
+    """Names of the factors to vary, or what they begin with; empty: all. The others are drawn as the task says."""
+    search: SearchConfig = SearchConfig()
+    """Size of the search."""
+    run: RunConfig = RunConfig()
+    """How the policy acts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mined:
+    """What was found."""
+
+    regions: list[Region]
+    """The boxes, the clearest first."""
+    factors: tuple[Factor, ...]
+    """The factors."""
+    rollouts: int
+    """Rollouts of the policy."""
+    unsolved: int
+    """Scenes that the policy failed and the expert did not solve either; they are no failures."""
+    infeasible: int
+    """Points for which no scene exists."""
+    bags: dict[str, list[str]]
+    """Region in words to bags of failed scenes in it."""
+
+
+def factors_of(task_config: str, names: Sequence[str] = ()) -> dict[str, tuple[Factor, Place, int | None]]:
+    """Return the factors of a task: name to the factor, the place of its range, and the component of a vector.
+
+    Args:
+        task_config: Task configuration, YAML.
+        names: Names, or what they begin with; empty: all.
+
+    Raises:
+        ConfigError: When a name is of no factor, or there is none.
+    """
+    found: dict[str, tuple[Factor, Place, int | None]] = {}
+    for path, low, high in _ranges(parse_yaml(task_config), ()):
+        name = ".".join(map(str, path))
+        if isinstance(low, list):
+            for place, (a, b) in enumerate(zip(low, high, strict=True)):
+                if a < b:
+                    full = f"{name}.{place}"
+                    found[full] = (_factor(full, name, a, b), path, place)
+        elif low < high:
+            found[name] = (_factor(name, name, low, high), path, None)
+    unknown = [one for one in names if not any(name.startswith(one) for name in found)]
+    if unknown:
+        raise ConfigError(f"no factor '{unknown[0]}' in the task; {one_of(found, unknown[0])}")
+    chosen = {key: value for key, value in found.items() if not names or key.startswith(tuple(names))}
+    if not chosen:
+        raise ConfigError("the task has no range {lower: ..., upper: ...} to search")
+    return chosen
+
+
+def _factor(name: str, key: str, low: float, high: float) -> Factor:
+    return Factor(
+        name=name, lower=float(low), upper=float(high), words=WORDS.get(key, ""), edges=EDGES.get(name, ("", ""))
+    )
+
+
+def _ranges(value: Any, path: Place) -> Iterator[tuple[Place, Any, Any]]:
+    if isinstance(value, dict):
+        low, high = value.get("lower"), value.get("upper")
+        if _numbers(low) and _numbers(high):
+            yield path, low, high
+            return
+        for key, inner in value.items():
+            yield from _ranges(inner, (*path, key))
+
+
+def _numbers(value: Any) -> bool:
+    rows = value if isinstance(value, list) else [value]
+    return bool(rows) and all(isinstance(one, int | float) and not isinstance(one, bool) for one in rows)
+
+
+def at_point(data: Any, factors: dict[str, tuple[Factor, Place, int | None]], point: Sequence[float]) -> Any:
+    """Return a task configuration whose factors have the values of a point, each in a range of almost no width."""
+    data = copy.deepcopy(data)
+    for (factor, path, place), value in zip(factors.values(), point, strict=True):
+        inner = data
+        for key in path:
+            inner = inner[key]
+        half = WIDTH * (factor.upper - factor.lower)
+        low, high = max(factor.lower, value - half), min(factor.upper, value + half)
+        if place is None:
+            inner["lower"], inner["upper"] = float(low), float(high)
+        else:
+            inner["lower"], inner["upper"] = list(inner["lower"]), list(inner["upper"])
+            inner["lower"][place], inner["upper"][place] = float(low), float(high)
+    return data
+
+
+def mine(
+    bench: TryBench, actor: ActorPort, config: MineConfig, *, out: Path | None = None,
+    on_rollout: Callable[[int, bool | None], None] = lambda *_: None,
+) -> Mined:  # fmt: skip
+    """Search for regions.
+
+    Every scene has a seed of its own, those of the confirmation too. A failure counts only if the expert solves the
+    scene.
+
+    Args:
+        bench: Cores to run episodes with.
+        actor: The policy.
+        config: What is searched.
+        out: Folder for bags of two failed scenes of each region; none: no bags.
+        on_rollout: Called with the number of each rollout and whether it failed; None: no scene, or unsolvable.
+
+    Raises:
+        ConfigError: When the task has no factors.
+        RoboximError: On a fault of the simulator.
+    """
+    factors = factors_of(config.task_config, config.factors)
+    points = _Points(bench, actor, config, factors, on_rollout)
+    regions = search(points.oracle, [factor for factor, _, _ in factors.values()], config.search)
+    bags = {r.words: points.recorded(r, out) for r in regions if r.confirmed} if out is not None else {}
+    return Mined(
+        regions=regions, factors=tuple(factor for factor, _, _ in factors.values()), rollouts=points.rollouts,
+        unsolved=points.unsolved, infeasible=points.infeasible, bags=bags,
+    )  # fmt: skip
+
+
+class _Points:
+    def __init__(
+        self, bench: TryBench, actor: ActorPort, config: MineConfig,
+        factors: dict[str, tuple[Factor, Place, int | None]], on_rollout: Callable[[int, bool | None], None],
+    ) -> None:  # fmt: skip
+        self._bench, self._actor, self._config, self._factors = bench, actor, config, factors
+        self._on_rollout = on_rollout
+        self._data = parse_yaml(config.task_config)
+        self._failed: list[tuple[Array, SeedPath, str]] = []
+        self.rollouts = self.unsolved = self.infeasible = 0
+
+    def oracle(self, points: Array) -> list[bool | None]:
+        return [self._fails(point) for point in points]
+
+    def _fails(self, point: Array) -> bool | None:
+        number = self.rollouts + self.infeasible
+        seed = SeedPath(run_seed=self._config.search.seed, purpose="eval", index=number)
+        text = yaml.safe_dump(_plain(at_point(self._data, self._factors, point.tolist())))
+        failed = self._outcome(seed, text)
+        if failed:
+            self._failed.append((point, seed, text))
+        self._on_rollout(number, failed)
+        return failed
+
+    def _outcome(self, seed: SeedPath, text: str) -> bool | None:
+        try:
+            draw = self._bench.graph.tasks.draw(seed, text)
+        except RoboximError as error:
+            if error.code != ErrorCode.RESET_INFEASIBLE:
+                raise
+            self.infeasible += 1
+            return None
+        self.rollouts += 1
+        if self._bench.run(draw, self._actor, seed, config=self._config.run).success:
+            return False
+        if self._bench.run(draw, self._bench.expert, seed, config=self._config.run).success:
+            return True
+        self.unsolved += 1
+        return None
+
+    def recorded(self, region: Region, out: Path) -> list[str]:
+        """Run up to two failed scenes of a region again, and record them."""
+        names = list(self._factors)
+        inside = [
+            (seed, text) for point, seed, text in self._failed
+            if all(low <= point[names.index(name)] <= high for name, (low, high) in region.bounds.items())
+        ]  # fmt: skip
+        found = []
+        for seed, text in inside[-2:]:
+            draw = self._bench.graph.tasks.draw(seed, text)
+            tried = self._bench.run(draw, self._actor, seed, config=replace(self._config.run), bags=out)
+            found.append(tried.result.bag)
+        return found
+
+
+def _plain(value: Any) -> Any:
+    """Return located YAML data as plain dictionaries and lists."""
+    if isinstance(value, dict):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+__all__ = ["MineConfig", "Mined", "at_point", "factors_of", "mine"]

@@ -1,0 +1,53 @@
+"""Mining of regions in the simulator: the factors of a task, and a planted region that is found."""
+
+from __future__ import annotations
+
+import pytest
+import yaml
+
+from roboxim_bringup.core_graph import CoreActor
+from roboxim_core.config import parse_yaml
+from roboxim_core.episode import RunConfig
+from roboxim_core.errors import ConfigError, SimError
+from roboxim_eval.answers.regions import SearchConfig
+from roboxim_runs.answers.mining import MineConfig, at_point, factors_of, mine
+from roboxim_runs.answers.trying import TryBench
+from roboxim_runs.episodes.task_choice import task_text
+from roboxim_runs.policies.planted_causes import FailsWhere
+
+
+def test_ranges_of_a_task_are_its_factors():
+    text = task_text("pick_cube")
+    found = factors_of(text)
+    assert {"reset.objects.area.0", "reset.objects.area.1", "reset.objects.yaw_rad"} <= found.keys()
+    chosen = factors_of(text, ["reset.objects.area"])
+    assert list(chosen) == ["reset.objects.area.0", "reset.objects.area.1"]
+    data = at_point(parse_yaml(text), chosen, [0.5, 0.1])
+    assert data["reset"]["objects"]["area"]["lower"] == pytest.approx([0.5, 0.1], abs=1e-5)
+    with pytest.raises(ConfigError, match="no factor 'reset.light'"):
+        factors_of(text, ["reset.light"])
+    with pytest.raises(ConfigError, match="no range"):
+        factors_of(yaml.safe_dump({"skill": "pick_up"}))
+
+
+@pytest.mark.thorough
+def test_a_planted_region_is_found_and_its_scenes_are_solved_by_the_expert(tmp_path):
+    config = MineConfig(
+        task_config=task_text("pick_cube"), factors=("reset.objects.area",),
+        search=SearchConfig(first=16, rounds=1, per_round=8, confirm=8, regions=1),
+        run=RunConfig(image_width=32, image_height=32),
+    )  # fmt: skip
+    try:
+        bench = TryBench()
+    except SimError as error:
+        pytest.skip(str(error))
+    with bench:
+        found = mine(bench, CoreActor(FailsWhere(conditions=[{"x": [0.3, 0.47]}])), config, out=tmp_path)
+    (region,) = found.regions
+    assert region.confirmed
+    assert region.inside[0] > 5 > region.outside[0]
+    assert "closer than" in region.words
+    assert "near edge of its area" in region.words
+    bags = found.bags[region.words]
+    assert bags
+    assert all((tmp_path / bag).exists() for bag in bags)
