@@ -15,7 +15,7 @@ SCENES = 10
 ATTACK = (
     "push_object/carry", "place_on/drop", "place_left_of/drop", "stack/cage", "push_button/side_of_the_hand",
     "place_on/at_the_far_side", "stack/lay_it_down", "put_into/both", "push_object/two_at_once",
-    "push_object/knock_another_over",
+    "push_object/knock_another_over", "rotate/tip_and_turn", "put_into/toss",
 )  # fmt: skip
 """Regressions: cheats that once passed an evaluator, and an honest solution that was rejected."""
 

@@ -13,8 +13,11 @@ An error is a text message, after which the connection is closed with code 1011.
 from __future__ import annotations
 
 import argparse
+import contextlib
+import logging
 import queue
 import signal
+import socket
 import sys
 import threading
 import traceback
@@ -31,6 +34,9 @@ MOST_CONNECTIONS = 32
 """Largest number of connections at the same time."""
 ITEMS = 10_000
 """Largest number of items of a list or a map in a request; arrays are bytes."""
+QUIET = logging.getLogger("openpi_server")
+"""Logger for `websockets`, whose own prints a traceback for whatever connects and is no WebSocket client."""
+QUIET.setLevel(logging.CRITICAL)
 Request = dict  # of arrays, texts and numbers by key
 Reply = dict  # of arrays by key
 
@@ -228,6 +234,28 @@ def _resolve(future: Future, call: Any) -> None:
         future.set_exception(error)
 
 
+class _Listener(socket.socket):
+    """A listening socket that closes connections beyond a bound: each costs a thread, even one that stays silent."""
+
+    most = 4 * MOST_CONNECTIONS
+
+    @classmethod
+    def at(cls, host: str, port: int) -> _Listener:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        made = cls(family, socket.SOCK_STREAM, fileno=socket.create_server((host, port), family=family).detach())
+        made.accepted = []
+        return made
+
+    def accept(self) -> tuple:
+        while True:
+            found, address = super().accept()
+            self.accepted = [known for known in self.accepted if known.fileno() != -1]
+            if len(self.accepted) < self.most:
+                self.accepted.append(found)
+                return found, address
+            found.close()
+
+
 class Server:
     """A server of one model; a context manager. Each connection has a session of its own."""
 
@@ -237,6 +265,8 @@ class Server:
         self.host, self.port = host, port
         self._quiet = quiet
         self._places = threading.Semaphore(MOST_CONNECTIONS)
+        self._connections: set = set()
+        self._stops = False
 
     @property
     def url(self) -> str:
@@ -252,8 +282,9 @@ class Server:
         from websockets.sync.server import serve
 
         self._server = serve(
-            self._connected, self.host, self.port, compression=None, max_size=MESSAGE_BYTES, ping_interval=None,
-            close_timeout=1.0, origins=[None], process_request=_health,
+            self._connected, sock=_Listener.at(self.host, self.port), compression=None,
+            max_size=MESSAGE_BYTES, ping_interval=None,
+            close_timeout=1.0, origins=[None], process_request=_health, logger=QUIET,
         )  # fmt: skip
         self.port = self._server.socket.getsockname()[1]
         self.worker.__enter__()
@@ -263,7 +294,11 @@ class Server:
 
     def __exit__(self, *_: object) -> None:
         """Stop listening."""
+        self._stops = True
         self._server.shutdown()
+        for connection in list(self._connections):
+            with contextlib.suppress(OSError):  # the client was faster
+                connection.close(1001, "the server stops")
         self._thread.join()
         self.worker.__exit__()
 
@@ -273,11 +308,16 @@ class Server:
         if not self._places.acquire(blocking=False):
             connection.close(1013, f"the server has {MOST_CONNECTIONS} connections already")
             return
+        self._connections.add(connection)
         try:
+            if self._stops:  # it came while the others were closed
+                connection.close(1001, "the server stops")
+                return
             self._talk(connection)
         except ConnectionClosed:
             pass
         finally:
+            self._connections.discard(connection)
             self._places.release()
 
     def _talk(self, connection: Any) -> None:

@@ -6,6 +6,7 @@ The measures are folds over state records like those of `roboxim_tasks.measures`
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -98,21 +99,24 @@ def drop(entity: str) -> Measure:
 
 
 def toss(entity: str, *, may_bounce: bool = False) -> Measure:
-    """Measure the largest mean horizontal speed of an object over a tick that ends without the robot at it [m/s].
+    """Measure the largest horizontal speed of an object in a tick that ends without the robot at it [m/s].
 
-    It counts from when the object was last held: picking up a tossed object resets the measure. With ``may_bounce`` it
-    counts up to the first tick in which something else touches the object.
+    It is the highest of the mean speed over the tick, the speed at its end, and the speed with which the robot let go:
+    a short flight begins and ends within a tick. It counts from when the object was last held: picking up a tossed
+    object resets the measure. With ``may_bounce`` it counts up to the first tick in which something else touches the
+    object.
     """
     fastest, handled, landed = [0.0], [False], [False]
 
     def of(state: StateRecord, before: StateRecord | None) -> float:
-        touched = any(contact.force_last > 0.0 for contact in state.contacts_between(ROBOT, entity))
+        touched = _touched(state, entity)
         if before is None or held_in_the_air(state, entity):
             fastest[0], landed[0] = 0.0, False
         elif handled[0] and not touched and not (may_bounce and landed[0]):
             here, there = state.entity(entity).pose.position, before.entity(entity).pose.position
-            way = float(np.hypot(*np.subtract(here, there)[:2]))
-            fastest[0] = max(fastest[0], way / seconds_between(before, state))
+            mean = float(np.hypot(*np.subtract(here, there)[:2])) / seconds_between(before, state)
+            ends = (before, state) if _touched(before, entity) else (state,)
+            fastest[0] = max(fastest[0], mean, *(math.hypot(*s.entity(entity).linear_velocity[:2]) for s in ends))
         if handled[0] and not held_in_the_air(state, entity):
             landed[0] = landed[0] or any(contact.force_max > 0.0 for contact, _ in _others(state, entity))
         handled[0] = handled[0] or touched
@@ -167,8 +171,12 @@ def squeeze_n(state: StateRecord, entity: str) -> float:
 
 def held_in_the_air(state: StateRecord, entity: str) -> bool:
     """Return whether the robot touches an object at the end of a tick and nothing else does."""
-    by_robot = any(contact.force_last > 0.0 for contact in state.contacts_between(ROBOT, entity))
-    return by_robot and not any(contact.force_last > 0.0 for contact, _ in _others(state, entity))
+    return _touched(state, entity) and not any(contact.force_last > 0.0 for contact, _ in _others(state, entity))
+
+
+def _touched(state: StateRecord, entity: str) -> bool:
+    """Return whether the robot touches an object at the end of a tick."""
+    return any(contact.force_last > 0.0 for contact in state.contacts_between(ROBOT, entity))
 
 
 def touching_links(state: StateRecord, entity: str) -> set[str]:

@@ -164,13 +164,6 @@ def released(entity: str) -> Condition:
     return Condition(name="released", measure=force(ROBOT, entity, "robot_force_n"), most=0.0)
 
 
-def kept_upright(entity: str, initial: StateRecord) -> Condition:
-    """Return the condition that an object on the table has not toppled since tick 0; see `toppled`."""
-    return Condition(
-        name="kept_upright", measure=toppled((entity,), initial), most=TOPPLED_DEG, reason="toppled"
-    )  # fmt: skip
-
-
 def stands_alone(entity: str) -> Condition:
     """Return the condition that nothing but the table carries or props an object."""
     return Condition(

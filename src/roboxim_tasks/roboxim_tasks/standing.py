@@ -37,11 +37,15 @@ def stays_upright(task: TaskSpec, initial: StateRecord) -> tuple[Condition, ...]
     """Return the condition that a task's target stands as at tick 0, if the task demands it; else none."""
     if not task.arguments.get(UPRIGHT):
         return ()
-    entity = task.objects["target"].entity
+    return (kept_upright(task.objects["target"].entity, initial),)
+
+
+def kept_upright(entity: str, initial: StateRecord) -> Condition:
+    """Return the condition that the side of an object that was up at tick 0 is still up."""
     up = tuple(initial.entity(entity).pose.rotation.inv().apply((0.0, 0.0, 1.0)).tolist())
     lean = tilt(entity, up)
     degrees = Measure(name="toppled_deg", of=lambda state: math.degrees(lean.of(state)))
-    return (Condition(name="kept_upright", measure=degrees, most=TOPPLED_DEG, reason="toppled"),)
+    return Condition(name="kept_upright", measure=degrees, most=TOPPLED_DEG, reason="toppled")
 
 
 def rests_alone(entity: str, initial: StateRecord, *carriers: str) -> Condition:

@@ -15,6 +15,7 @@ import numpy as np
 from roboxim_core.conventions import Convention
 from roboxim_core.errors import InvalidRequestError
 from roboxim_policies.serving.base import PolicyServer
+from roboxim_policies.serving.listening import BoundedListener
 from roboxim_policies.serving.sessions import MOST_SESSIONS, Session, Sessions, request_of
 from roboxim_policies.wires import openvla
 from roboxim_policies.wires.arrays import MESSAGE_BYTES
@@ -77,6 +78,7 @@ class OpenVlaServer(PolicyServer):
 
         self._server = ThreadingHTTPServer((self.host, self.port), Handler)
         self._server.daemon_threads = True
+        self._server.socket = BoundedListener.of(self._server.socket)
         self.port = self._server.server_address[1]
 
     def _serve(self) -> None:

@@ -15,9 +15,12 @@ from roboxim_core.config import to_json
 from roboxim_core.conventions import Convention
 from roboxim_core.errors import InvalidRequestError, RoboximError, printable
 from roboxim_policies.serving.base import PolicyServer
+from roboxim_policies.serving.listening import QUIET, BoundedListener
 from roboxim_policies.serving.sessions import Session, request_of
 from roboxim_policies.wires import openpi, vla_eval
 from roboxim_policies.wires.arrays import MESSAGE_BYTES
+
+STOPS = "the server stops"
 
 
 class WebSocketServer(PolicyServer):
@@ -31,20 +34,23 @@ class WebSocketServer(PolicyServer):
         from websockets.sync.server import serve
 
         self._server = serve(
-            self._connected, self.host, self.port, compression=None, max_size=MESSAGE_BYTES, ping_interval=None,
-            close_timeout=1.0, origins=[None], process_request=self._health,
+            self._connected, sock=BoundedListener.at(self.host, self.port), compression=None,
+            max_size=MESSAGE_BYTES, ping_interval=None,
+            close_timeout=1.0, origins=[None], logger=QUIET, process_request=self._health,
         )  # fmt: skip
         self.port = self._server.socket.getsockname()[1]
         self._connections: set[Any] = set()
+        self._stops = False
 
     def _serve(self) -> None:
         self._server.serve_forever()
 
     def _stop(self) -> None:
+        self._stops = True
         self._server.shutdown()
         for connection in list(self._connections):
             with contextlib.suppress(OSError):  # the client was faster
-                connection.close(1001, "the server stops")
+                connection.close(1001, STOPS)
 
     def _health(self, connection: Any, request: Any) -> Any:
         if request.path == self.health_path:
@@ -56,6 +62,9 @@ class WebSocketServer(PolicyServer):
 
         self._connections.add(connection)
         try:
+            if self._stops:  # it came while the others were closed
+                connection.close(1001, STOPS)
+                return
             with self.sessions.session() as session:
                 self._talk(connection, session)
         except ConnectionClosed:

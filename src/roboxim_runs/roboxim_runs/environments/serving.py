@@ -18,6 +18,7 @@ import numpy as np
 
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import InvalidRequestError, RoboximError, UnavailableError, one_of, printable
+from roboxim_policies.serving.listening import QUIET, BoundedListener
 from roboxim_policies.wires import openpi
 from roboxim_policies.wires.arrays import MESSAGE_BYTES
 from roboxim_runs.environments.gymnasium_env import RoboXimEnv
@@ -26,6 +27,7 @@ ARGUMENTS: Mapping[str, type | tuple[type, ...]] = {
     "task": str, "size": int, "control": str, "rate": (int, float), "max_steps": int,
 }  # fmt: skip
 """What a client may choose. It cannot name files: tasks are those of ``config/tasks``."""
+STOPS = "the server stops"
 LARGEST_SIZE = 1024
 """Largest side of a client's pictures [px]."""
 
@@ -49,6 +51,7 @@ class EnvironmentServer:
         self._most, self._log = most, log
         self._places = threading.Semaphore(most)
         self._connections: set[Any] = set()
+        self._stops = False
         self._thread: threading.Thread | None = None
 
     @property
@@ -66,8 +69,9 @@ class EnvironmentServer:
 
         try:
             self._server = serve(
-                self._connected, self.host, self.port, compression=None, max_size=MESSAGE_BYTES, ping_interval=None,
-                close_timeout=1.0, origins=[None],
+                self._connected, sock=BoundedListener.at(self.host, self.port), compression=None,
+                max_size=MESSAGE_BYTES, ping_interval=None,
+                close_timeout=1.0, origins=[None], logger=QUIET,
             )  # fmt: skip
         except OSError as error:
             raise UnavailableError(f"cannot listen at {self.url}: {error}; choose another --port") from None
@@ -78,9 +82,10 @@ class EnvironmentServer:
 
     def __exit__(self, *_: object) -> None:
         """Stop listening, and end all connections."""
+        self._stops = True
         self._server.shutdown()
         for connection in list(self._connections):
-            connection.close(1001, "the server stops")
+            connection.close(1001, STOPS)
         if self._thread is not None:
             self._thread.join()
 
@@ -93,6 +98,9 @@ class EnvironmentServer:
         self._connections.add(connection)
         served = _Served()
         try:
+            if self._stops:  # it came while the others were closed
+                connection.close(1001, STOPS)
+                return
             for message in connection:
                 connection.send(openpi.encode(self._answered(served, message)))
         except ConnectionClosed:

@@ -4,7 +4,7 @@ Randomisation: which object and colour; where it lies and at what yaw; where the
 
 Success, for ``hold_s``:
     - The object has been turned by the angle within ``tolerance_deg``.
-    - It has not toppled, and its origin is within ``shift_m`` of its initial position.
+    - The side that was up is still up, and its origin is within ``shift_m`` of its initial position.
     - It was set down on the table and not dropped, it lies still, and the hand has left it.
 
 Non-obvious: the rotation accumulates over the ticks, so 270 degrees in the other direction do not count as 90. The
@@ -23,7 +23,7 @@ from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.handling import DROP_M
-from roboxim_tasks.measures import Condition, Conditions, Measure, above, kept_upright, shift, table_force, turned
+from roboxim_tasks.measures import Condition, Conditions, Measure, above, shift, table_force, turned
 from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage, grasp_poses, grasps_of, retreated, shifted
 from roboxim_tasks.reach import reaches_in_lines, start_clear
 from roboxim_tasks.sampling.generators import GenerationContext, generate_task
@@ -31,7 +31,7 @@ from roboxim_tasks.sampling.placement import Room
 from roboxim_tasks.script import APPROACH_M, SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.placing import lies_still
-from roboxim_tasks.standing import rests_alone, stays_upright, upright_arguments
+from roboxim_tasks.standing import kept_upright, rests_alone, upright_arguments
 
 DIRECTIONS = {"clockwise": -1.0, "counter-clockwise": 1.0}
 """Direction in the instruction to the sign of the rotation about the upward vertical."""
@@ -161,7 +161,7 @@ class Rotate(Skill):
                 most=parameters.angle_deg + parameters.tolerance_deg,
             ),
             Condition(name="on_table", measure=table_force(entity), least=above(0.0)),
-            *(stays_upright(task, initial) or (kept_upright(entity, initial),)),
+            kept_upright(entity, initial),
             rests_alone(entity, initial),
             Condition(name="stayed", measure=shift(entity, initial), most=parameters.shift_m, reason="moved_away"),
         )  # fmt: skip

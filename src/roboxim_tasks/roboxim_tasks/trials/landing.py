@@ -15,7 +15,7 @@ from roboxim_tasks.skills.push_object import pushing_poses
 from roboxim_tasks.trials.base import cheat, honest
 from roboxim_tasks.trials.moves import around, displaced, own_ways
 from roboxim_tasks.trials.place_on import on
-from roboxim_tasks.trials.place_relation import RED_AND_BLUE, beside, direction
+from roboxim_tasks.trials.place_relation import RED_AND_BLUE, direction
 from roboxim_tasks.trials.placing import CUBES, RELATIONS, onto
 from roboxim_tasks.trials.push_object import along, push
 
@@ -67,18 +67,16 @@ def lay_it_down(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
 
 @honest(*RELATIONS, change=RED_AND_BLUE)
-def pushed_there(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Push it there over the table instead of picking it up."""
-    toward = direction(scene)
-    for length in (0.1, 0.12, 0.15):
-        there = beside(scene, "target", "reference", length * toward)
-        way = np.subtract(there.position, scene.pose_of("target").position)
-        far = float(np.linalg.norm(way))
-        unit = way / far
-        for begin, opening in pushing_poses(scene.model_of("target"), scene.pose_of("target"), unit):
+def pushed_on(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+    """Put it there, and push it 4 cm farther over the table."""
+    toward, way_m = direction(scene), 0.04
+    for grasp, goal in own_ways(scene):
+        for begin, opening in list(pushing_poses(scene.model_of("target"), goal, toward))[:4]:
             script = Script(scene)
+            script.pick("target", grasp)
+            script.place(goal)
             script.opening = opening
-            push(script, begin, far, toward=unit)
+            push(script, begin, way_m, toward=toward)
             yield script.stages
 
 
@@ -121,8 +119,8 @@ def from_its_top(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
 @honest("stack", change=on("wooden_block"))
 def base_nudged(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Push the base 3 cm aside before stacking."""
-    yield from _nudged(scene, "support", 0.03)
+    """Push the base 1 cm aside before stacking."""
+    yield from _nudged(scene, "support", 0.01)
 
 
 def _nudged(scene: ExpertScene, entity: str, way_m: float) -> Iterator[tuple[Stage, ...]]:

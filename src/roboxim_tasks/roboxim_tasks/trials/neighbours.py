@@ -229,8 +229,8 @@ def flush_with_another(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
 @honest("place_on", "put_into", "rotate", "pick_up", *RELATIONS, "push_object", change=beside_a("lemon", {}))
 def another_aside_first(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Move another object 8 cm aside first, and then do as the expert does."""
-    for x, y in around(0.08):
+    """Move another object 6 cm aside first, and then do as the expert does."""
+    for x, y in around(0.06):
         for _, stages in zip(range(4), own_stages(scene), strict=False):
             script = Script(scene)
             moved_over(script, OTHER, displaced(scene.pose_of(OTHER), x, y))
