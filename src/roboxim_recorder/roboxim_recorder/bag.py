@@ -29,7 +29,7 @@ from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, Rec
 from roboxim_core.state import StateRecord
 from roboxim_recorder import topics
 from roboxim_recorder.bag_writer import LIBRARY, METADATA, RECEIVED_KEY, BagWriter, find_episode
-from roboxim_recorder.chunks import read_messages
+from roboxim_recorder.chunks import read_messages, refuse_bombs
 from roboxim_recorder.decoding import Decoder
 from roboxim_ros.messages.conversions import from_msg, image_from_msg, stamp_to_ns
 from roboxim_ros.messages.schemas import MessageSchema
@@ -158,6 +158,7 @@ class BagReader:
         self.file = mcap_file(path)
         self.path, self._known_info = Path(path), info
         with damage(self.path), self.file.open("rb") as stream:
+            refuse_bombs(stream)
             reader = SeekingReader(stream, validate_crcs=True)
             summary = reader.get_summary()
             if summary is None or summary.statistics is None:

@@ -19,6 +19,7 @@ from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, ChunkIndex
 from mcap.summary import Summary
+from mcap.writer import MCAP0_MAGIC
 
 StampedMessage = tuple[Channel, int, memoryview]
 """Channel, time of recording [ns] and serialised message, which shares the memory of its chunk (about 1.5 MB)."""
@@ -27,6 +28,12 @@ _CHUNK = struct.Struct("<QQQI")  # first time, last time, size and CRC-32 of the
 _LENGTH, _LONG_LENGTH = struct.Struct("<I"), struct.Struct("<Q")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, time of recording, time of publishing
 _ZSTD = "zstd"
+LARGEST_CHUNK = 1 << 29
+"""Largest decompressed chunk that is read [B]. Recorders write chunks of a megabyte; one message fits in any case."""
+_FRAME_BYTES = 18
+"""Length of the header of a compressed frame, which may say the size of what it holds [B]."""
+_LZ4_SIZED = 0x08
+"""Bit of an lz4 frame's fifth byte: its header says the size."""
 
 
 def read_messages(
@@ -60,6 +67,48 @@ def read_messages(
         if any(later[1] < earlier[1] for earlier, later in pairwise(found)):
             found.sort(key=itemgetter(1))
         yield from found
+
+
+def refuse_bombs(stream: IO[bytes]) -> None:
+    """Refuse a file of which a record claims to be larger than `LARGEST_CHUNK`, decompressed, before any is read.
+
+    The libraries take memory for what a record or the header of a compressed frame claims. The sizes of frames without
+    one are bounded by the chunk's own claim.
+
+    Raises:
+        ValueError: On such a record.
+    """
+    stream.seek(0, 2)
+    end, at = stream.tell(), len(MCAP0_MAGIC)
+    while at + _RECORD.size <= end:
+        stream.seek(at)
+        opcode, length = _RECORD.unpack(stream.read(_RECORD.size))
+        claims = _claim(stream) if opcode == Opcode.CHUNK else length
+        if claims > LARGEST_CHUNK:
+            raise ValueError(f"the record at byte {at} claims to hold {claims} bytes; at most {LARGEST_CHUNK} are read")
+        at += _RECORD.size + length
+    stream.seek(0)
+
+
+def _claim(stream: IO[bytes]) -> int:
+    """Return the largest size that a chunk claims for its decompressed records, the stream being at its begin."""
+    head = stream.read(_CHUNK.size + _LENGTH.size)
+    if len(head) < _CHUNK.size + _LENGTH.size:
+        return 0  # the file ends here, as its reader will say
+    claims, named = _CHUNK.unpack_from(head)[2], _LENGTH.unpack_from(head, _CHUNK.size)[0]
+    if named > len(_ZSTD):
+        return int(claims)
+    compression = stream.read(named)
+    frame = stream.read(_LONG_LENGTH.size + _FRAME_BYTES)[_LONG_LENGTH.size :]
+    try:
+        if compression == _ZSTD.encode():
+            known = zstandard.get_frame_parameters(frame).content_size
+            return max(claims, 0 if known == zstandard.CONTENTSIZE_UNKNOWN else known)
+    except zstandard.ZstdError:
+        return int(claims)  # no frame, as its reader will say
+    if compression == b"lz4" and frame[4:5] and frame[4] & _LZ4_SIZED:
+        return max(claims, *_LONG_LENGTH.unpack(frame[6:14]))
+    return int(claims)
 
 
 def _may_hold(chunk: ChunkIndex, wanted: set[int]) -> bool:

@@ -22,6 +22,8 @@ from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
+from roboxim_recorder.chunks import LARGEST_CHUNK
+
 _COMPRESSION = b"\x04\x00\x00\x00zstd"
 """Length and name of a chunk's compression, as every chunk of the recorder has them."""
 _PREFIX = struct.Struct("<BQQQQI")
@@ -32,8 +34,6 @@ _RECORD = struct.Struct("<BQ")
 _OUTSIDE = frozenset(Opcode) - {Opcode.CHUNK, Opcode.MESSAGE}
 """Records that lie between chunks or behind them."""
 Bytes = bytes | mmap.mmap
-LARGEST_CHUNK = 2 << 30
-"""A chunk that claims to decompress to more is damaged [B]."""
 
 
 @dataclass(frozen=True, kw_only=True)
