@@ -5,10 +5,15 @@ Every command is made by `command` or `group` of this module, or is a command of
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import click
+
+SHOWN = 80
+"""Length to which errors cut longer words of a command line [characters]."""
+LONG_WORD = re.compile(rf"\S{{{3 * SHOWN},}}")
 
 
 class Strict(click.Command):
@@ -22,8 +27,15 @@ class Strict(click.Command):
         """Refuse repeated options, then parse.
 
         Raises:
-            UsageError: Naming an option that was given twice.
+            UsageError: Naming an option that was given twice, or a value that is none of its kind.
         """
+        try:
+            return self._parse_once(ctx, args)
+        except click.UsageError as error:
+            error.message = LONG_WORD.sub(lambda word: f"{word[0][:SHOWN]}...", error.message)
+            raise
+
+    def _parse_once(self, ctx: click.Context, args: list[str]) -> list[str]:
         _, _, given = self.make_parser(ctx).parse_args(args=list(args))
         seen: set[str | None] = set()
         for option in given:

@@ -90,6 +90,49 @@ def test_a_card_is_checked_against_its_counts(card):
         check_card({**data, "schema": 1})
 
 
+def leaves(value, path=()):
+    """Yield the path of every value that holds no others, one for each kind of path: of a list, its first item."""
+    if isinstance(value, dict) and value:
+        for key in value:
+            yield from leaves(value[key], (*path, key))
+    elif isinstance(value, list) and value:
+        yield from leaves(value[0], (*path, 0))
+    else:
+        yield path
+
+
+def edited(data, path):
+    """Return a copy of plain data with another value at a path."""
+    copy = json.loads(json.dumps(data))
+    *way, last = path
+    holder = copy
+    for key in way:
+        holder = holder[key]
+    old = holder[last]
+    holder[last] = {
+        bool: lambda: not old,
+        int: lambda: old + 1,
+        float: lambda: old + 0.01,
+        str: lambda: f"{old} not",
+    }.get(type(old), lambda: "x")()
+    return copy
+
+
+@pytest.mark.thorough
+def test_every_edit_of_a_card_is_noticed_and_a_new_hash_does_not_hide_an_edited_conclusion(card):
+    data = card.plain
+    paths = [path for path in leaves(data) if path[0] != "times"]
+    assert len(paths) > 50
+    for path in paths:
+        changed = edited(data, path)
+        with pytest.raises(ConfigError):
+            check_card(changed)
+        if path[0] in ("verdicts", "scores", "warnings"):
+            changed["sha256"] = sha256_of({k: v for k, v in changed.items() if k not in ("sha256", "times")})
+            with pytest.raises(ConfigError):
+                check_card(changed)
+
+
 def test_the_hash_is_that_of_the_canonical_json_without_times(card):
     data = card.plain
     content = {key: value for key, value in data.items() if key not in ("sha256", "times")}
