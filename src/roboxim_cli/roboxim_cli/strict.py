@@ -13,6 +13,8 @@ import click
 
 SHOWN = 80
 """Length to which errors cut longer words of a command line [characters]."""
+NAMED = {"--out", "--task", "--skill", "--policy", "--suite", "--scene"}
+"""Options whose value is a name or a folder; an empty one would stand for the default, or for the present folder."""
 LONG_WORD = re.compile(rf"\S{{{3 * SHOWN},}}")
 
 
@@ -36,7 +38,12 @@ class Strict(click.Command):
             raise
 
     def _parse_once(self, ctx: click.Context, args: list[str]) -> list[str]:
-        _, _, given = self.make_parser(ctx).parse_args(args=list(args))
+        values, _, given = self.make_parser(ctx).parse_args(args=list(args))
+        empty = [option.opts[-1] for option in given if values.get(str(option.name)) == "" and NAMED & set(option.opts)]
+        if empty:
+            raise click.UsageError(
+                f"{empty[0]} is empty, like an unset variable; name one, or leave {empty[0]} out", ctx
+            )
         seen: set[str | None] = set()
         for option in given:
             if not isinstance(option, click.Option) or option.multiple or option.count:

@@ -108,7 +108,6 @@ def test_values_at_their_edges_are_taken_or_refused_as_they_are_parsed(name, tmp
     "words",
     [
         ("tasks", "sample", "--seed", "-1"),
-        ("tasks", "sample", "--seed", "9" * 30),
         ("tasks", "sample", "--episodes", "0"),
         ("generate", "--episodes", "-3", "--out", "run"),
         ("generate", "--workers", "0", "--out", "run"),
@@ -119,6 +118,7 @@ def test_values_at_their_edges_are_taken_or_refused_as_they_are_parsed(name, tmp
         ("evaluate", "--policy", "x" * 5000, "--out", "run"),
         ("generate", "--task", "x" * 5000, "--out", "run"),
         ("generate", "--task", "", "--out", "run"),
+        ("generate", "--out", ""),
         ("dataset", "info", "x" * 5000),
         ("merge", "", "--out", "run"),
         ("experiment", "unpack", "", "--out", "run"),
