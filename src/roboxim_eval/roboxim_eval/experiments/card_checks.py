@@ -85,7 +85,10 @@ def check_card(data: Any, *, source: str = "card") -> Card:
         ConfigError: When the data is no card of this schema, or was changed; names the first part that differs.
     """
     card = parse_card(data, source=source)
-    again = concluded(card).plain
+    try:
+        again = concluded(card).plain
+    except (LookupError, ArithmeticError, TypeError, ValueError) as error:  # a part names what the others lack
+        raise ConfigError(f"{source}: its parts contradict each other ({error!r}); it was changed") from None
     for part in DERIVED:
         if again[part] != data.get(part):
             raise ConfigError(f"{source}: its {part} do not follow from its counts; it was changed")
