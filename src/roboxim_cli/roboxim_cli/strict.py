@@ -34,7 +34,7 @@ class Strict(click.Command):
         try:
             return self._parse_once(ctx, args)
         except click.UsageError as error:
-            error.message = LONG_WORD.sub(lambda word: f"{word[0][:SHOWN]}...", error.message)
+            error.__dict__["message"] = LONG_WORD.sub(lambda word: f"{word[0][:SHOWN]}...", error.message)
             raise
 
     def _parse_once(self, ctx: click.Context, args: list[str]) -> list[str]:

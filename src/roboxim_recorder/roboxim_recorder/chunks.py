@@ -103,11 +103,11 @@ def _claim(stream: IO[bytes]) -> int:
     try:
         if compression == _ZSTD.encode():
             known = zstandard.get_frame_parameters(frame).content_size
-            return max(claims, 0 if known == zstandard.CONTENTSIZE_UNKNOWN else known)
+            return int(max(claims, 0 if known == zstandard.CONTENTSIZE_UNKNOWN else known))
     except zstandard.ZstdError:
         return int(claims)  # no frame, as its reader will say
     if compression == b"lz4" and frame[4:5] and frame[4] & _LZ4_SIZED:
-        return max(claims, *_LONG_LENGTH.unpack(frame[6:14]))
+        return int(max(claims, *_LONG_LENGTH.unpack(frame[6:14])))
     return int(claims)
 
 
