@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 from roboxim_bringup.core_graph import CoreGraph
+from roboxim_core.config import named_config
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_recorder.bag import BagReader
-from roboxim_runs.episodes.task_choice import task_text
 
 GOLDEN = Path(__file__).with_name("golden.json")
 EPISODES = {
@@ -35,8 +35,9 @@ EPISODES = {
 
 def episode_hashes(task: str, index: int, folder: Path) -> dict[str, str]:
     """Record one demonstration and hash its parts."""
+    text = named_config("tasks", task).read_text()  # with its own cameras; named on a command line it is seen whole
     config = RunConfig(
-        run_seed=7, purpose="demo", task_config=task_text(task), image_width=64, image_height=64,
+        run_seed=7, purpose="demo", task_config=text, image_width=64, image_height=64,
         noise_translation_m=0.003, noise_rotation_rad=0.01, output_dir=str(folder),
     )  # fmt: skip
     with CoreGraph(folder) as graph:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from roboxim_core.config import config_dirs, named_config, parse_yaml
-from roboxim_core.config_folders import config_names, is_path
+from roboxim_core.config_folders import config_dir, config_names, is_path
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.documents import read_text
 from roboxim_core.plain_data.merging import merged
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from roboxim_tasks.config import TaskMix
 
 DEFAULT_TASK = "pick_cube"
+SEEN_WHOLE = {"workspace": "whole", "workspace_side": "whole_side"}
+"""Views of the built-in tasks, which published experiments use, to those that crop neither the hand nor an object."""
 CELLS_SHOWN = 8
 """Number of cells of a mix whose episodes are told one by one."""
 
@@ -51,7 +53,9 @@ def task_text(
         objects: ``[ROLE=]MODEL[,MODEL]``, the default role is ``target``.
         distractors: Number or range of distractors, e.g. ``1-3``; empty: as configured.
         colors: Comma-separated colours of the target; empty: as configured.
-        cameras: ``NAME[=VIEW]``: the cameras, each at the pose of its own file of ``config/cameras`` or of another one.
+        cameras: ``NAME[=VIEW]``: the cameras, each at the pose of its own file of ``config/cameras`` or of another one;
+            none: those of the task. A built-in task of one skill, named and not given as a file, is then seen whole
+            (`SEEN_WHOLE`), unless its look brings a view.
         lights: Names in ``config/lights``; several: one is drawn for each episode.
         textures: ``SURFACE=NAME`` for table, floor or wall; several of one surface: one is drawn for each episode.
         look: Set of looks in ``config/looks``, one of which is drawn for each episode, or ``SET/LOOK``.
@@ -62,9 +66,11 @@ def task_text(
     """
     from roboxim_tasks.config import any_task_config
 
-    text, source = _base(task, _words(skill), suite)
+    text, source = _base(task, _words(skill), suite, whole=not cameras, by_look=bool(look))
     any_task_config(parse_yaml(text, source=source), source=source)
     reset = _reset_changes(cameras, lights, textures, look)
+    if not cameras and not is_path(task) and _is_built_in(source):
+        reset = merged(_whole_view(parse_yaml(text, source=source), by_look=bool(look)), reset)
     if not (objects or distractors or colors or reset or robot):
         return text
     data: dict[str, Any] = yaml.safe_load(text) or {}
@@ -111,7 +117,7 @@ def named_task(name: str, *, others: Sequence[str] = ()) -> tuple[str, Path | No
     for kind in ("tasks", "suites"):
         if is_path(name) or name in config_names(kind):
             file = named_config(kind, name)
-            return task_text(str(file)), file
+            return task_text(name if kind == "tasks" else str(file)), file
     if name in SKILLS:
         return task_text(skill=name), None
     known = {*config_names("tasks"), *config_names("suites"), *SKILLS, *others}
@@ -140,6 +146,28 @@ def _reset_changes(
         section = changes.setdefault("surfaces", {}).setdefault(surface, {"texture": {"values": []}})
         section["texture"]["values"].append(texture)
     return changes
+
+
+def _is_built_in(source: str) -> bool:
+    """Tell whether a task's source is a file of RoboXim's own ``config/tasks``."""
+    return Path(source).parent == config_dir() / "tasks"
+
+
+def _whole_view(task: Any, *, by_look: bool) -> dict[str, Any]:
+    """Return the change that makes the camera ``workspace`` see the hand and all objects; empty: the task decides.
+
+    Args:
+        task: The task's plain data.
+        by_look: Whether a look chooses the view, unless the task has one of its own.
+    """
+    cameras = (task.get("reset") or {}).get("cameras") or {}
+    views = cameras.get("views") or {}
+    own = (views.get("workspace") or {}).get("values", ["workspace"])
+    if "workspace" not in cameras.get("names", ()) or len(own) != 1 or own[0] not in SEEN_WHOLE:
+        return {}
+    if by_look and not views:
+        return {}
+    return {"cameras": {"views": {"workspace": {"values": [SEEN_WHOLE[own[0]]]}}}}
 
 
 def mix_of(task_config: str) -> TaskMix | None:
@@ -180,8 +208,8 @@ def _words(text: str) -> list[str]:
     return list(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
 
 
-def _base(task: str, skills: Sequence[str], suite: str) -> tuple[str, str]:
-    """Return a task configuration's text and its source."""
+def _base(task: str, skills: Sequence[str], suite: str, *, whole: bool, by_look: bool) -> tuple[str, str]:
+    """Return a task configuration's text and its source; several skills are seen whole if asked, or as a look says."""
     from roboxim_tasks.skills import SKILLS
     from roboxim_tasks.skills.from_file import is_skill_file
 
@@ -200,13 +228,24 @@ def _base(task: str, skills: Sequence[str], suite: str) -> tuple[str, str]:
     digests = "".join(f"# {skill}: sha256 {_digest_of(skill)}\n" for skill in files)  # a changed file is another run
     skills = [f"{Path(skill).absolute()}" if skill in files else skill for skill in skills]
     if len(skills) > 1:
-        mix = {"cells": [{"tasks": list(skills)}]}
+        mix = {"cells": _cells_by_view(skills, by_look=by_look) if whole else [{"tasks": list(skills)}]}
         return digests + str(yaml.safe_dump(mix)), f"skills {', '.join(skills)}"
     [skill] = skills
     if files:
         return f"{digests}skill: {skill}\n", f"skill '{skill}'"
     own = (folder / "tasks" / f"{skill}.yaml" for folder in config_dirs())
     return next((_read(file) for file in own if file.is_file()), (f"skill: {skill}\n", f"skill '{skill}'"))
+
+
+def _cells_by_view(skills: Sequence[str], *, by_look: bool) -> list[dict[str, Any]]:
+    """Return cells of skills that share the episodes, each seen whole as it would be alone."""
+    groups: dict[str, dict[str, Any]] = {}
+    for skill in skills:
+        file = config_dir() / "tasks" / f"{skill}.yaml"
+        view = _whole_view(parse_yaml(read_text(file), source=str(file)), by_look=by_look) if file.is_file() else {}
+        cell = groups.setdefault(str(view), {"tasks": [], **({"set": {"reset": view}} if view else {})})
+        cell["tasks"].append(skill)
+    return list(groups.values())
 
 
 def _read(file: Path) -> tuple[str, str]:
