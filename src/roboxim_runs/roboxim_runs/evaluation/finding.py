@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from roboxim_core.episode import EpisodeResult
+from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_recorder.bag import BagReader, mcap_file
 from roboxim_recorder.run_bags import read_results
@@ -14,6 +14,7 @@ from roboxim_runs.evaluation.report import RECORD_FILE, inside, stored_record
 from roboxim_runs.evaluation.shown import MOST_OTHERS
 
 RESULTS_FILE = "results.jsonl"
+EXPERIMENT_FILE = "experiment.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +50,8 @@ def find_episode(place: Path, number: int | None = None, policy: str = "") -> Fo
         raise ConfigError(f"{place} is not an evaluation's folder (it has no {RECORD_FILE}), so it has no --policy")
     if (place / RESULTS_FILE).exists():
         return _with_evaluation(_bag_of(place, number))
+    if (place / EXPERIMENT_FILE).exists():
+        raise ConfigError(_of_an_experiment(place, number))
     if number is not None:
         raise ConfigError(f"{place} has no {RESULTS_FILE}, so it is no run whose episode {number} could be shown")
     if place.is_dir() and not any(place.glob("*.mcap")) and not any(place.glob("*.db3")):
@@ -56,6 +59,17 @@ def find_episode(place: Path, number: int | None = None, policy: str = "") -> Fo
     bag = mcap_file(place)
     return _with_evaluation(
         bag if place.is_file() and bag.parent.name != BagReader(bag).info.episode_id else bag.parent
+    )
+
+
+def _of_an_experiment(place: Path, number: int | None) -> str:
+    folders = sorted(file.parent for file in place.glob(f"evaluate/*/{RECORD_FILE}"))
+    if not folders:
+        return f"{place} is an experiment without evaluations yet; run it first"
+    names = ", ".join(folder.name for folder in folders[:8]) + (", ..." if len(folders) > 8 else "")
+    return (
+        f"{place} is an experiment with {len(folders)} evaluations ({names}); name one, e.g. roboxim show {folders[0]} "
+        f"{number or 0}"
     )
 
 
@@ -67,20 +81,44 @@ def _with_evaluation(bag: Path) -> FoundEpisode:
 
 
 def in_evaluation(bag: Path, evaluation: Path, policy: str) -> FoundEpisode:
-    """Return an episode of an evaluation, with those of its other policies in the same scene, the expert first.
+    """Return an episode of an evaluation, with those of others in the same scene, the expert first.
+
+    Others are its other policies, and in an experiment the other conditions with the same number of training.
 
     Raises:
         ConfigError: When the evaluation's files are damaged.
     """
-    index = BagReader(bag).info.index
+    info = BagReader(bag).info
+    runs = {name: evaluation / name for name in stored_record(evaluation).policies if name != policy}
+    runs |= {run.name: run for run in _other_conditions(evaluation)}
     found = []
-    for name in stored_record(evaluation).policies:
-        run = evaluation / name
-        if name != policy and (run / RESULTS_FILE).exists():
-            bags = (run / result.bag for result in read_results(run) if result.index == index and result.bag)
-            found += [Other(name=name, bag=one) for one in bags if one.exists()]
+    for name, run in runs.items():
+        if (run / RESULTS_FILE).exists():
+            bags = (run / result.bag for result in read_results(run) if result.index == info.index and result.bag)
+            found += [Other(name=name, bag=one) for one in bags if one.exists() and _same_scene(one, info)]
     found.sort(key=lambda one: not BagReader(one.bag).info.actor_privileged)
     return FoundEpisode(bag=bag, policy=policy, others=tuple(found[:MOST_OTHERS]))
+
+
+def _same_scene(bag: Path, info: EpisodeInfo) -> bool:
+    """Tell whether an episode had the same objects in the same places: experiments may test other cells."""
+    scene = BagReader(bag).info.scene
+    return (scene.entities, scene.robot) == (info.scene.entities, info.scene.robot)
+
+
+def _other_conditions(evaluation: Path) -> list[Path]:
+    """Return the runs of an experiment's other conditions, of the same training; empty: it is in no experiment."""
+    stages = evaluation.resolve().parent
+    if stages.name != "evaluate" or not (stages.parent / EXPERIMENT_FILE).exists():
+        return []
+    training = evaluation.resolve().name.rpartition(".")[2]
+    others = (folder for folder in sorted(stages.iterdir()) if folder.name != evaluation.resolve().name)
+    return [
+        folder / condition
+        for folder in others
+        for condition, _, mine in [folder.name.rpartition(".")]
+        if mine == training and "@" not in condition
+    ]
 
 
 def _bag_of(run: Path, number: int | None) -> Path:

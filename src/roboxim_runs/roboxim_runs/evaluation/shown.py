@@ -135,8 +135,7 @@ def _run(
         name: Its name in the report.
     """
     from roboxim_eval.report import PolicyRun
-    from roboxim_eval.report.episode import episode_page
-    from roboxim_runs.episodes.showing import Other, films_of, shown_episode
+    from roboxim_runs.episodes.showing import films_of
 
     films, pages = {}, {}
     for old in (out / PAGES / _folder(name)).glob("*.html"):  # of a report that showed other scenes
@@ -148,17 +147,10 @@ def _run(
             continue
         if both := films_of(bag, film):
             films[episode.episode_id] = both[0]
-        others = [
-            Other(name=other, bag=bags[scene], link=f"../{_folder(other)}/{bags[scene].name}.html")
-            for other, bags in shown.items() if other != name and scene in bags
-        ]  # fmt: skip
-        page = shown_episode(
-            bag, films=film, others=others[:MOST_OTHERS], shown_as=os.path.relpath(result.folder / episode.bag, out),
-            name=name, run=result.folder,
+        others = {other: bags[scene] for other, bags in shown.items() if other != name and scene in bags}
+        pages[episode.episode_id] = write_episode_page(
+            bag, out, run=result.folder, name=name, others=others, film=film, shown_as=result.folder / episode.bag,
         )  # fmt: skip
-        pages[episode.episode_id] = f"{PAGES}/{_folder(name)}/{episode.episode_id}.html"
-        (out / PAGES / _folder(name)).mkdir(parents=True, exist_ok=True)
-        write_whole(out / pages[episode.episode_id], episode_page(page))
     return PolicyRun(
         policy=name, results=result.results, folder=Path(os.path.relpath(result.folder, out)).as_posix(), films=films,
         pages=pages, trained=trained, scenes=scenes,
@@ -166,6 +158,37 @@ def _run(
         starts={key: one.start for key, one in facts.items() if one.start is not None},
         told={key: one.told for key, one in facts.items() if one.told},
     )  # fmt: skip
+
+
+def write_episode_page(
+    bag: Path, out: Path, *, run: Path, name: str, others: Mapping[str, Path], film: FilmOptions, shown_as: Path,
+) -> str:  # fmt: skip
+    """Write the page that explains an episode of a report, and return its path from the report's folder.
+
+    Args:
+        bag: The episode's bag.
+        out: The report's folder.
+        run: The episode's run, with the logs.
+        name: Policy or condition, as the report names it.
+        others: Further ones to their bags of the same scene; their pages are linked.
+        film: How the report shows films.
+        shown_as: The bag, as commands of the page name it.
+
+    Raises:
+        ConfigError: When the path is not a bag.
+        RecorderError: With code ``BAG_DAMAGED``.
+    """
+    from roboxim_eval.report.episode import episode_page
+    from roboxim_runs.episodes.showing import Other, shown_episode
+
+    there = [Other(name=other, bag=one, link=f"../{_folder(other)}/{one.name}.html") for other, one in others.items()][
+        :MOST_OTHERS
+    ]
+    page = shown_episode(bag, films=film, others=there, shown_as=os.path.relpath(shown_as, out), name=name, run=run)
+    path = out / PAGES / _folder(name) / f"{bag.name}.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, episode_page(page))
+    return path.relative_to(out).as_posix()
 
 
 def _folder(name: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +20,9 @@ from roboxim_eval.experiments.card import Card, is_card
 from roboxim_eval.experiments.card_checks import check_card, design_of_card
 from roboxim_eval.experiments.cost import FILMS
 from roboxim_eval.experiments.spread import spread_data, spread_rows
+from roboxim_eval.film_options import FilmOptions
 from roboxim_runs.episodes.facts import EpisodeFacts, episode_facts
-from roboxim_runs.evaluation.shown import place_of
+from roboxim_runs.evaluation.shown import PAGES, place_of, write_episode_page
 from roboxim_runs.experiments.card import (
     CARD_FILE,
     Scene,
@@ -188,6 +189,7 @@ def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int 
         for number in chosen_films(there, films):
             if frames := film(folder.path / episodes[int(number)].bag):
                 shown[int(number)] = film_strip(frames)
+    episodes = with_pages(folder.path, episodes, sorted(shown))
     page = experiment_page(ExperimentPage(
         card=card, episodes=episodes, checkpoints=checkpoint_episodes(folder), films=shown,
         command=reproduction(folder), warnings=scene_leakage(folder.design), place=_place(folder),
@@ -195,6 +197,39 @@ def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int 
     path = folder.path / REPORT_FILE
     write_whole(path, page)
     return path
+
+
+def with_pages(out: Path, episodes: Sequence[Episode], shown: Sequence[int]) -> list[Episode]:
+    """Write the pages that explain the shown episodes, and return all episodes with their addresses.
+
+    A page shows beside its episode those of the other conditions in the same scene, if their films are shown, too.
+
+    Args:
+        out: The experiment's folder.
+        episodes: The page's episodes.
+        shown: Numbers of those whose films are on the page.
+    """
+    from roboxim_runs.episodes.showing import forget_episodes
+
+    for old in (out / PAGES).glob("*/*.html"):  # of a report that showed other episodes
+        old.unlink()
+    paged = list(episodes)
+    for number in shown:
+        mine = episodes[number]
+        met = (episodes[other] for other in shown if episodes[other].scene_key == mine.scene_key)
+        bag = out / mine.bag
+        address = write_episode_page(
+            bag, out, run=bag.parent.parent, name=_page_name(mine), film=FilmOptions(), shown_as=bag,
+            others={_page_name(one): out / one.bag for one in met if one.arm != mine.arm},
+        )  # fmt: skip
+        paged[number] = replace(mine, page=address)
+    forget_episodes()
+    return paged
+
+
+def _page_name(episode: Episode) -> str:
+    """Return the condition of an episode, with its training from the second one on: bags of trainings share names."""
+    return f"{episode.arm}.{episode.replicate}" if episode.replicate else episode.arm
 
 
 def _place(folder: ExperimentFolder) -> Place | None:

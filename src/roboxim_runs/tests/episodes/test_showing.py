@@ -18,6 +18,7 @@ from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import ConfigError, SimError
 from roboxim_eval.film_options import FilmOptions
+from roboxim_eval.report.episodes import Episode
 from roboxim_policies.builtin import RandomPolicy, ZeroPolicy
 from roboxim_recorder.bag import BagReader
 from roboxim_runs.datasets.viewing import viewed_episode
@@ -26,6 +27,7 @@ from roboxim_runs.episodes.showing import expert_way, printed, shown_episode
 from roboxim_runs.evaluation.comparing import compare_evaluations
 from roboxim_runs.evaluation.finding import find_episode
 from roboxim_runs.evaluation.report import RECORD_FILE, EvaluationRecord, report_of, stored_record
+from roboxim_runs.experiments.report import with_pages
 from roboxim_runs.storage.folder import EPISODE_MARK, RunFolder
 
 
@@ -64,6 +66,45 @@ def test_an_episode_is_found_by_its_bag_or_its_number(evaluated: Path) -> None:
     ):  # fmt: skip
         with pytest.raises(ConfigError, match=said):
             find_episode(place, number, policy)
+
+
+def as_experiment(evaluated: Path, out: Path) -> Path:
+    """Copy two evaluations as an experiment lays them out: two conditions, and one of another training."""
+    for name, training in (("zero", 0), ("random", 0), ("random", 1)):
+        folder = out / f"evaluate/{name}.{training}"
+        shutil.copytree(evaluated / name, folder / name)
+        record = replace(stored_record(evaluated), policies=(name,))
+        (folder / RECORD_FILE).write_text(json.dumps(to_plain(record)))
+    (out / "experiment.json").write_text("{}")
+    return out
+
+
+def test_an_episode_of_an_experiment_is_beside_the_other_conditions(evaluated: Path, tmp_path: Path) -> None:
+    out = as_experiment(evaluated, tmp_path / "experiment")
+    found = find_episode(out / "evaluate/zero.0", 0)
+    assert [other.bag.parents[2].name for other in found.others] == ["random.0"]
+    with pytest.raises(ConfigError, match=r"3 evaluations \(random.0, random.1, zero.0\); name one, e.g. roboxim show"):
+        find_episode(out, 7)
+
+
+def test_a_report_of_an_experiment_explains_the_episodes_it_shows(evaluated: Path, tmp_path: Path) -> None:
+    out = as_experiment(evaluated, tmp_path / "experiment")
+    episodes = [
+        Episode(
+            arm=name, replicate=training, cell="c", scene="0", outcome="failure",
+            bag=str(next((out / f"evaluate/{name}.{training}").glob("*/episodes/*")).relative_to(out)),
+        )
+        for name, training in (("zero", 0), ("random", 0), ("random", 1))
+    ]  # fmt: skip
+    paged = with_pages(out, episodes, [0, 1, 2])
+    bag = Path(episodes[0].bag).name
+    assert [one.page for one in paged] == [f"pages/{name}/{bag}.html" for name in ("zero", "random", "random.1")]
+    page = (out / paged[0].page).read_text()
+    assert f'href="../random/{bag}.html"' in page
+    assert "lifted 0 cm of 5" in page
+    assert "../" not in (out / paged[2].page).read_text().partition("<script")[0], "another training is another scene"
+    assert [one.page for one in with_pages(out, episodes, [1])] == ["", paged[1].page, ""]
+    assert not (out / paged[0].page).exists()
 
 
 def test_its_page_has_all_ticks_and_what_it_was_judged_by(evaluated: Path) -> None:
