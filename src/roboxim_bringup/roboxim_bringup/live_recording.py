@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from roboxim_core.errors import ConfigError
 from roboxim_recorder.bag_writer import McapFile, disk_errors
+from roboxim_recorder.cdr import MessageLayout, message_layout
 from roboxim_ros.messages.schemas import message_schema
 
 FLUSH_S = 2.0
@@ -51,6 +52,7 @@ class LiveRecording:
         self._folder, self._wanted, self._look_up = folder, set(topics), look_up
         self._arrived: queue.SimpleQueue[tuple[str, int, bytes]] = queue.SimpleQueue()
         self._subscriptions: dict[str, Any] = {}
+        self._layouts: dict[str, MessageLayout] = {}
         self._flushed = time.monotonic()
         self.left_out: list[str] = []
         """Topics that could not be recorded, with the reason."""
@@ -82,6 +84,7 @@ class LiveRecording:
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )  # fmt: skip
             self._file.add_topic(topic, schema)
+            self._layouts[topic] = message_layout(schema)
 
             def take(data: bytes, topic: str = topic) -> None:
                 self._arrived.put((topic, time.time_ns(), bytes(data)))
@@ -98,7 +101,7 @@ class LiveRecording:
         with disk_errors(self._folder):
             while not self._arrived.empty():
                 topic, stamp_ns, data = self._arrived.get()
-                self._file.write(topic, data, stamp_ns)
+                self._file.write(topic, self._layouts[topic].clean(data).data, stamp_ns)
             if time.monotonic() - self._flushed > FLUSH_S:
                 self._file.flush()
                 self._flushed = time.monotonic()

@@ -11,6 +11,7 @@ from roboxim_datasets.compare import LOWEST_PSNR_DB, Comparison, Images, compare
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.rewrite import Plan, Written, options_like, plan_of, split_plan, write_dataset
+from roboxim_recorder.driven import DrivenDataset, is_driven
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
 from roboxim_runs.storage.folder import checked_path
@@ -25,6 +26,7 @@ def convert_dataset(
     options: Any = None,
     *,
     fps: float = 0.0,
+    instruction: str = "",
     overwrite: bool = False,
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
@@ -32,11 +34,12 @@ def convert_dataset(
     """Write a dataset in another format. The same call continues an interrupted conversion.
 
     Args:
-        source: The dataset; it is only read.
+        source: The dataset, or a bag of a driven graph (`roboxim_recorder.driven`); it is only read.
         target: Folder to write into.
         format: Registered name of the format.
         options: Options of the format; None: the defaults.
         fps: Steps per second of a source that does not say it; 0: unknown.
+        instruction: What was done in a bag of a driven graph, which does not say it.
         overwrite: Replace an existing dataset.
         on_event: Receives the run's events.
         cancellation: Ends the conversion when it is set.
@@ -48,9 +51,19 @@ def convert_dataset(
         RecorderError: ``EXPORT_REFUSED`` when the target exists or lies in the source; ``BAG_DAMAGED`` when the source
             cannot be read.
     """
-    plan = plan_of(open_dataset(source))
+    plan = plan_of(_opened(Path(source), instruction))
     reporter = Reporter(on_event, cancellation)
     return _write(plan, Path(target), format, options, "convert", reporter, overwrite=overwrite, fps=fps)
+
+
+def _opened(source: Path, instruction: str) -> Dataset:
+    if source.exists() and is_driven(source):
+        if not instruction:
+            raise ConfigError(f"{source} is a bag of a driven graph, which does not say what was done: --instruction")
+        return DrivenDataset(source, instruction)
+    if instruction:
+        raise ConfigError(f"{source} is no bag of a driven graph: a dataset has instructions of its own")
+    return open_dataset(source)
 
 
 def merge_datasets(

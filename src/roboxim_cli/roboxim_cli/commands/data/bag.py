@@ -216,8 +216,8 @@ def record(topics: tuple[str, ...], out: Path, duration: float | None, run_id: s
     roboxim bag record /joint_states /my_node/goal --out runs/goals --duration 30
 
     Topics that appear later are recorded from then on. The bag is MCAP with rosbag2's profile: 'roboxim bag play' and
-    Foxglove open it. It is not an episode: it has no task and no verdict, so exports refuse it; episodes are recorded
-    by 'roboxim generate' and 'roboxim evaluate'.
+    Foxglove open it. It is not an episode: it has no task and no verdict, so exports refuse it; 'roboxim dataset
+    convert' makes a dataset of it. Episodes are recorded by 'roboxim generate' and 'roboxim evaluate'.
     """
     from roboxim_bringup.attach import absolute, attached
     from roboxim_bringup.live_recording import LiveRecording

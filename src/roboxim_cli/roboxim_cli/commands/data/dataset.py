@@ -55,16 +55,21 @@ class _Formats(strict.Group):
         own = field_options(options)
         doc = (FORMATS[cmd_name].__doc__ or "").splitlines()[0]
 
-        def convert(source: Path, out: Path, overwrite: bool, fps: float, **given: Any) -> None:
-            _convert(cmd_name, options(**given), source, out, overwrite, fps)
+        def convert(source: Path, out: Path, overwrite: bool, fps: float, instruction: str, **given: Any) -> None:
+            more = {"fps": fps, "instruction": instruction, "overwrite": overwrite}
+            _convert(cmd_name, options(**given), source, out, **more)
 
         params: list[click.Parameter] = [
             click.Argument(["source"], type=_path),
             click.Option(["--out"], type=_path, required=True, help="Folder of the dataset."),
             *own,
             click.Option(["--fps"], type=float, default=0.0, help="Steps per second of a source that does not say it."),
+            click.Option(
+                ["--instruction"], default="", metavar="TEXT",
+                help="What was done in a bag of 'roboxim bag record', which becomes a dataset, too.",
+            ),
             click.Option(["--overwrite"], is_flag=True, help="Replace an existing dataset."),
-        ]
+        ]  # fmt: skip
         return strict.Command(
             cmd_name, params=params, callback=convert, short_help=doc, old_output=-1,
             help=f"{doc}\n\nThe same command continues an interrupted conversion. The source is only read.",
@@ -128,12 +133,12 @@ def convert() -> None:
     """
 
 
-def _convert(name: str, options: Any, source: Path, target: Path, overwrite: bool, fps: float) -> None:
+def _convert(name: str, options: Any, source: Path, target: Path, **more: Any) -> None:
     from roboxim_cli.printer import EventPrinter
     from roboxim_runs.datasets.rewriting import convert_dataset
 
     with EventPrinter() as printer:
-        written = convert_dataset(source, target, name, options, fps=fps, overwrite=overwrite, on_event=printer)
+        written = convert_dataset(source, target, name, options, on_event=printer, **more)
     _print_written(written)
 
 

@@ -1,0 +1,263 @@
+"""Episodes of a recording of a running graph (`roboxim bag record`), which has no task and no verdict.
+
+Such a bag has the scene, a state for each tick and perhaps images. That suffices for an episode: the action of a tick
+is what the controller commanded, the joints at its end and the opening. Whether a task was solved is unknown. A new
+scene, a lost tick and a tick of another length end an episode; what belongs to none is named.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.errors import ErrorCode, RecorderError
+from roboxim_core.proprioception import STATE_FIELDS, Proprioception, ProprioField, component_names
+from roboxim_core.specs import CameraSpec, SceneSpec
+from roboxim_core.state import StateRecord
+from roboxim_datasets.account import Account
+from roboxim_datasets.dataset import Dataset, Description, Features
+from roboxim_datasets.episode import Episode, ImageSize, Step, Wanted
+from roboxim_recorder import topics
+from roboxim_recorder.bag import BagReader
+from roboxim_ros.messages.conversions import from_msg, image_from_msg, stamp_to_ns
+
+SCENE = "/sim/scene"
+"""Topic of the scene, latched."""
+GRIPPER = "gripper.opening"
+FIELDS = (ProprioField.JOINT_POSITIONS, ProprioField.JOINT_VELOCITIES)
+"""Observed vectors beside ``state``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stretch:
+    """Successive ticks of one scene, of equal length."""
+
+    scene: SceneSpec
+    """The scene."""
+    era: int
+    """Number of restarts of the simulated time before it."""
+    states: tuple[StateRecord, ...]
+    """The states; the images of one have its stamp and its era."""
+
+    @property
+    def tick_ns(self) -> int:
+        """Length of a tick [ns]."""
+        return self.states[1].stamp_ns - self.states[0].stamp_ns
+
+
+def is_driven(path: Path) -> bool:
+    """Tell whether a path is a bag of a running graph that is no episode.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when it is a bag that cannot be read.
+    """
+    if path.suffix != ".mcap" and not any(path.glob("*.mcap")):
+        return False
+    counts = BagReader(path).counts
+    return not counts.get(topics.INFO) and bool(counts.get(topics.STATE))
+
+
+class DrivenDataset(Dataset):
+    """A recording of a running graph as a dataset of the split ``train``."""
+
+    format = "driven bag"
+
+    def __init__(self, path: Path, instruction: str) -> None:
+        """Open a recording.
+
+        Args:
+            path: The bag.
+            instruction: What was done in it.
+
+        Raises:
+            RecorderError: ``EXPORT_REFUSED``, naming what it lacks; ``BAG_DAMAGED`` when it cannot be read.
+        """
+        super().__init__(path)
+        self._bag, self._instruction = BagReader(path), instruction
+        for topic, what in ((topics.STATE, "states"), (SCENE, "scene")):
+            if not self._bag.counts.get(topic):
+                raise _refused(f"{path} has no {what}: record {topic}, too (without topics, bag record records all)")
+        self._others: Counter[str] = Counter()
+        found = list(self._stretches())
+        longest = max(found, key=lambda one: len(one.states), default=None)
+        self._kept = [one for one in found if longest is not None and self._like(one, longest)]
+        if other := sum(len(one.states) for one in found if one not in self._kept):
+            self._others["of another robot, rate or cameras than the longest episode"] = other
+        if not self._kept:
+            raise _refused(f"{path} has no two successive ticks of one scene: nothing moved while it was recorded")
+
+    @property
+    def splits(self) -> Mapping[str, int]:
+        """All of it is ``train``."""
+        return {"train": len(self._kept)}
+
+    @cached_property
+    def description(self) -> Description:
+        """What its steps have."""
+        first = self._kept[0]
+        joints = first.states[0].robot.joint_names
+        sizes = {c.name: ImageSize(height=c.height, width=c.width) for c in self._cameras(first.scene)}
+        vectors = {"state": component_names(STATE_FIELDS, joints)}
+        vectors |= {str(field): component_names((field,), joints) for field in FIELDS}
+        rate = 1e9 / first.tick_ns
+        return Description(
+            features=Features(
+                cameras=sizes, keys={name: name for name in sizes}, lossless=True, action=(*joints, GRIPPER),
+                vectors=vectors,
+            ),
+            fps=rate, robot=first.scene.robot.model, joint_names=joints, outcomes=False, metadata={},
+            semantics=ActionSemantics(control="joint_position", rate_hz=rate),  # type: ignore[arg-type]
+            text=f"{len(self._kept)} episodes of a running graph that somebody drove; actions are commanded joints.",
+        )  # fmt: skip
+
+    def read(self, split: str, index: int) -> Episode:
+        """Return a stretch as an episode."""
+        stretch = self._kept[index]
+
+        def steps(wanted: Wanted) -> Iterator[Step]:
+            images = self._images(stretch, wanted.cameras)
+            for number, (observed, following) in enumerate(zip(stretch.states, stretch.states[1:], strict=False)):
+                measured = Proprioception.of(observed, stretch.scene.robot.pose)
+                yield Step(
+                    index=number, images=next(images),
+                    proprio={"state": measured.vector()} | {str(one): measured.vector((one,)) for one in FIELDS},
+                    action=np.array([*following.robot.joint_commands, following.robot.gripper_command], np.float32),
+                    stamp_s=observed.stamp_ns / 1e9,
+                )  # fmt: skip
+
+        return self.description.episode(
+            length=len(stretch.states) - 1, instruction=self._instruction, success=None, said={}, read=steps,
+            name=f"{self.path.stem}-{index}",
+        )  # fmt: skip
+
+    def _take_stock(self, account: Account) -> None:
+        for topic, count in self._bag.counts.items():
+            account.holds("key", topic, count)
+        images = {topics.image_topic(name) for name in self.features.cameras}
+        for topic in self._bag.counts:
+            if topic == topics.STATE:
+                kept = sum(len(one.states) for one in self._kept)
+                account.reads("key", topic, kept)
+                for why, count in self._others.items():
+                    account.leaves_out("key", topic, why, count)
+            elif topic == SCENE or topic in images:
+                account.reads("key", topic)
+            else:
+                account.leaves_out("key", topic, "datasets have observations and actions only")
+
+    # ------------------------------------------------------------------ what the bag holds
+
+    def _stretches(self) -> Iterator[Stretch]:
+        """Yield the stretches of ticks with an action, and count the states that belong to none."""
+        scene: SceneSpec | None = None
+        run: list[StateRecord] = []
+        eras, mine = _Eras(), 0
+        for topic, _, message in self._bag.messages((SCENE, topics.STATE)):
+            if topic == SCENE:
+                found = from_msg(message, SceneSpec)
+                if found != scene:
+                    yield from self._closed(scene, mine, run)
+                    scene, run = found, []
+                continue
+            state = from_msg(message, StateRecord)
+            era = eras.of(topic, state.stamp_ns)
+            if run and (era != mine or not _follows(run, state)):
+                yield from self._closed(scene, mine, run)
+                run = []
+            run.append(state)
+            mine = era
+        yield from self._closed(scene, mine, run)
+
+    def _closed(self, scene: SceneSpec | None, era: int, run: Sequence[StateRecord]) -> Iterator[Stretch]:
+        """Yield the parts of a run of states that have all images, which a busy machine may lose."""
+        if scene is None:
+            self._others["without a scene before them"] += len(run)
+            return
+        stamps = [self._stamps[topics.image_topic(camera.name)] for camera in self._cameras(scene)]
+        part: list[StateRecord] = []
+        for state in (*run, None):
+            if state is not None and all((era, state.stamp_ns) in there for there in stamps):
+                part.append(state)
+                continue
+            if len(part) > 1:
+                yield Stretch(scene=scene, era=era, states=tuple(part))
+            elif part:
+                self._others["alone: no tick follows"] += 1
+            if state is not None:
+                self._others["without an image of each camera"] += 1
+            part = []
+
+    def _cameras(self, scene: SceneSpec) -> list[CameraSpec]:
+        """Return the cameras of a scene whose images were recorded."""
+        return [camera for camera in scene.cameras if self._bag.counts.get(topics.image_topic(camera.name))]
+
+    @cached_property
+    def _stamps(self) -> dict[str, set[tuple[int, int]]]:
+        """Topic of images to their eras and stamps [ns]."""
+        found: dict[str, set[tuple[int, int]]] = {}
+        names = [topic for topic, kind in self._bag.types.items() if kind == topics.IMAGE]
+        eras = _Eras()
+        for topic, _, message in self._bag.messages(names) if names else ():
+            stamp = stamp_to_ns(message.header.stamp)
+            found.setdefault(topic, set()).add((eras.of(topic, stamp), stamp))
+        return found
+
+    def _like(self, one: Stretch, other: Stretch) -> bool:
+        """Tell whether two stretches fit into one dataset."""
+        mine, others = (
+            (of.scene.robot.model, of.tick_ns, [(c.name, c.width, c.height) for c in self._cameras(of.scene)])
+            for of in (one, other)
+        )
+        return mine == others
+
+    def _images(self, stretch: Stretch, cameras: Sequence[str]) -> Iterator[dict[str, Any]]:
+        """Yield the images of each state of a stretch, by camera."""
+        names = {topics.image_topic(camera): camera for camera in cameras}
+        if not names:
+            yield from ({} for _ in stretch.states)
+            return
+        wanted, eras = [state.stamp_ns for state in stretch.states], _Eras()
+        found: dict[int, dict[str, Any]] = {stamp: {} for stamp in wanted}
+        at = 0
+        for topic, _, message in self._bag.messages(tuple(names)):
+            stamp = stamp_to_ns(message.header.stamp)
+            if eras.of(topic, stamp) == stretch.era and stamp in found:
+                found[stamp][names[topic]] = image_from_msg(message)
+            while at < len(wanted) and len(found[wanted[at]]) == len(names):
+                yield found.pop(wanted[at])
+                at += 1
+                if at == len(wanted):
+                    return
+
+
+class _Eras:
+    """Counts how often the time of each topic started again: stamps alone do not tell two scenes apart."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[int, int]] = {}
+
+    def of(self, topic: str, stamp_ns: int) -> int:
+        """Return the era of a topic's next message."""
+        era, last = self._last.get(topic, (0, -1))
+        era += stamp_ns <= last
+        self._last[topic] = era, stamp_ns
+        return era
+
+
+def _follows(run: Sequence[StateRecord], state: StateRecord) -> bool:
+    """Tell whether a state is the tick after a run's last one, of the same scene and the same length."""
+    last = run[-1]
+    if state.seq != last.seq + 1 or state.scene_hash != last.scene_hash or state.stamp_ns <= last.stamp_ns:
+        return False
+    return len(run) < 2 or state.stamp_ns - last.stamp_ns == run[1].stamp_ns - run[0].stamp_ns
+
+
+def _refused(message: str) -> RecorderError:
+    return RecorderError(message, ErrorCode.EXPORT_REFUSED)

@@ -1,0 +1,106 @@
+"""A recording of a driven graph as a dataset: what becomes an episode, and what is named instead."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+from roboxim_interfaces import msg as ours
+
+from roboxim_core.errors import RecorderError
+from roboxim_recorder.bag_writer import McapFile
+from roboxim_recorder.cdr import message_layout
+from roboxim_recorder.driven import DrivenDataset, is_driven
+from roboxim_ros.messages.conversions import to_msg
+from roboxim_ros.messages.schemas import message_schema
+
+SCENE = ("/sim/scene", "roboxim_interfaces/msg/SceneSpec")
+TOPICS = {
+    SCENE[0]: SCENE[1],
+    "/episode/info": "roboxim_interfaces/msg/EpisodeInfo",
+    "/sim/state": "roboxim_interfaces/msg/StateRecord",
+    "/camera/workspace/image": "sensor_msgs/msg/Image",
+    "/camera/wrist/image": "sensor_msgs/msg/Image",
+    "/joint_states": "sensor_msgs/msg/JointState",
+}
+
+
+def driven(folder, *drives, lost=(), scene=True):
+    """Write what bag record writes: a scene, then ticks; lost: (topic, drive, tick)."""
+    file = McapFile(folder, folder.name)
+
+    def write(topic, message, at):
+        file.write(topic, message_layout(message_schema(TOPICS[topic])).clean(serialize_message(message)).data, at)
+
+    for topic, kind in TOPICS.items():
+        file.add_topic(topic, message_schema(kind))
+    at = 0
+    for number, drive in enumerate(drives):
+        if scene:
+            spec = replace(drive.scene, table=replace(drive.scene.table, center=(0.5, 0.01 * number, 0.0)))
+            write(SCENE[0], to_msg(spec, ours.SceneSpec), at)
+        for seq in range(drive.last_seq + 1):
+            for topic, message in drive.tick(seq).items():
+                at += 1
+                if topic in TOPICS and (topic, number, seq) not in lost:
+                    write(topic, message, at)
+    file.finish({})
+    return folder
+
+
+def test_ticks_become_steps_whose_actions_are_the_commands(fake, tmp_path):
+    drive = fake(steps=5)
+    dataset = DrivenDataset(driven(tmp_path / "bag", drive), "Wave")
+    assert is_driven(tmp_path / "bag")
+    assert not is_driven(drive.record(tmp_path / "run"))
+    [episode] = dataset.episodes()
+    assert (episode.success, episode.instruction, episode.fps) == (None, "Wave", 10.0)
+    assert episode.semantics.control == "joint_position"
+    steps = list(episode.steps())
+    assert len(steps) == len(episode) == drive.last_seq
+    for step in steps:
+        after = drive.state(step.index + 1).robot
+        np.testing.assert_allclose(step.action, [*after.joint_commands, after.gripper_command], rtol=1e-6)
+        np.testing.assert_allclose(
+            step.proprio["state"][0], drive.state(step.index).robot.pose_tcp_measured.position[0]
+        )
+        for camera, image in step.images.items():
+            np.testing.assert_array_equal(image, drive.image(camera, step.index))
+    [left] = [part for part in dataset.account.left_out if part.name == "/joint_states"]
+    assert left.count == drive.last_seq + 1
+
+
+def test_a_new_scene_and_lost_ticks_end_an_episode_and_are_named(fake, tmp_path):
+    lost = {("/sim/state", 0, 3), ("/camera/wrist/image", 1, 2)}
+    drives = fake(index=0, steps=5), fake(index=1, steps=5)
+    dataset = DrivenDataset(driven(tmp_path / "bag", *drives, lost=lost), "Wave")
+    episodes = list(dataset.episodes())
+    assert [len(episode) for episode in episodes] == [2, 3, 1, 4]  # ticks 0-2, 4-7; then 0-1, 3-7
+    first = next(episodes[2].steps()).images["wrist"]
+    np.testing.assert_array_equal(first, drives[1].image("wrist", 0))
+    said = {part.why: part.count for part in dataset.account.left_out if part.name == "/sim/state"}
+    assert said == {"without an image of each camera": 1}
+
+
+@pytest.mark.parametrize(
+    ("without", "said"), [("/sim/scene", "has no scene: record /sim/scene"), ("", "no two successive")]
+)
+def test_what_cannot_be_an_episode_says_why(fake, tmp_path, without, said):
+    drive = fake(steps=0, settle=0) if not without else fake()
+    with pytest.raises(RecorderError, match=said):
+        DrivenDataset(driven(tmp_path / "bag", drive, scene=not without), "Wave")
+
+
+@pytest.mark.parametrize("format", ["lerobot", "rlds", "hdf5"])
+def test_it_is_written_in_every_format_with_an_unknown_outcome(fake, tmp_path, format):
+    from roboxim_datasets.formats import open_dataset
+    from roboxim_datasets.rewrite import plan_of, write_dataset
+
+    dataset = DrivenDataset(driven(tmp_path / "bag", fake(steps=5)), "Wave")
+    written = write_dataset(plan_of(dataset), tmp_path / "out", format, how="convert")
+    assert "/joint_states" in {part.name for part in written.left_out}
+    episode = open_dataset(written.path).episode(0)
+    assert (len(episode), episode.instruction, episode.success) == (7, "Wave", None)
+    assert episode.semantics.control == "joint_position"
