@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from roboxim_runs.datasets.export import ExportConfig, ExportReport, Hdf5Config, LeRobotConfig
     from roboxim_runs.episodes.generation import GenerationConfig, GenerationResult
     from roboxim_runs.episodes.rerendering import RerenderConfig
+    from roboxim_runs.evaluation.beside_training import Evaluator
     from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
     from roboxim_runs.evaluation.run import EvaluationConfig
     from roboxim_runs.executors import CancelledError, Executor, InlineExecutor, LocalExecutor
@@ -52,6 +53,7 @@ __all__ = [
     "EpisodeResult",
     "EvaluationConfig",
     "EvaluationResult",
+    "Evaluator",
     "EventPrinter",
     "Executor",
     "ExportConfig",
@@ -95,6 +97,7 @@ _HOMES = {
     "roboxim_cli.printer": ("EventPrinter",),
     "roboxim_runs": ("events",),
     "roboxim_runs.evaluation.run": ("EvaluationConfig",),
+    "roboxim_runs.evaluation.beside_training": ("Evaluator",),
     "roboxim_runs.evaluation.results": ("EvaluationResult", "PolicyResult"),
     "roboxim_runs.datasets.export": ("ExportConfig", "ExportReport", "Hdf5Config", "LeRobotConfig"),
     "roboxim_runs.episodes.generation": ("GenerationConfig", "GenerationResult"),

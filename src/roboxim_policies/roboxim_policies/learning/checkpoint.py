@@ -59,6 +59,26 @@ class Statistics:
         return np.asarray((target - self.target_mean) / self.target_scale, np.float32)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Chosen:
+    """The weights that a training has chosen by held-out demonstrations."""
+
+    step: int
+    """Step after which they were the average."""
+    loss: float
+    """Their loss on the held-out demonstrations, the lowest so far."""
+    held_out: int
+    """Number of these demonstrations."""
+    checks: int
+    """Number of steps that were compared."""
+    since: int
+    """Number of comparisons since."""
+
+    def __str__(self) -> str:
+        """Say it in words."""
+        return f"lowest loss on {self.held_out} held-out demonstrations, of {self.checks} checks"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Checkpoint:
     """Content of a checkpoint."""
@@ -83,6 +103,8 @@ class Checkpoint:
     """Meaning of the actions."""
     robot: str
     """Id of the robot model of the demonstrations; empty: unknown."""
+    chosen: Chosen | None
+    """How the averaged weights were chosen; None: they are the last step's."""
     identity: str
     """Hash of configuration and data."""
     digest: str
@@ -122,17 +144,20 @@ class Checkpoint:
 
 
 def save_checkpoint(
-    path: Path, state: Any, *, step: int, config: LearningConfig, data: Demonstrations, stats: Statistics
-) -> None:
+    path: Path, state: Any, *, step: int, config: LearningConfig, data: Demonstrations, stats: Statistics,
+    chosen: Chosen | None = None,
+) -> None:  # fmt: skip
     """Write a checkpoint to a temporary file and rename it, so that ``path`` is always complete.
 
     Args:
         path: File to write.
-        state: Tree of (weights, optimiser state, averaged weights); the weights are vectors.
+        state: Tree of (weights, optimiser state, averaged weights), and the chosen ones if some are held out; all are
+            vectors.
         step: Number of completed steps.
         config: Configuration of the training.
         data: The training data.
         stats: Normalisation of the data.
+        chosen: How the last array of the state was chosen; None: it is the average after ``step``.
 
     Raises:
         OSError: When the disk is full.
@@ -141,6 +166,7 @@ def save_checkpoint(
     said = {
         "format": FORMAT,
         **({} if config.FAMILY == "bc" else {"family": config.FAMILY}),
+        **({} if chosen is None else {"chosen": asdict(chosen)}),
         "step": step,
         "config": to_plain(config),
         "stats": {name: value.tolist() for name, value in asdict(stats).items()},
@@ -226,6 +252,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         input_sizes=said["input_sizes"],
         semantics=from_plain(said["semantics"], ActionSemantics, source=str(file)),
         robot=said.get("robot", ""),
+        chosen=Chosen(**said["chosen"]) if "chosen" in said else None,
         identity=said["identity"],
         digest=said["digest"],
         arrays=arrays,

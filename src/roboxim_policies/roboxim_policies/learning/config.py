@@ -66,6 +66,12 @@ class LearningConfig:
         """Standard deviation of noise on an instruction's embedding in training, see `encoded_config`."""
         return 0.0
 
+    held_out: int = 0
+    """Demonstrations that are not trained on, drawn by the seed. The policy then has the averaged weights of the step
+    with the lowest loss on them, of every ``checkpoint_every``-th and the last. 0: the last step's."""
+    patience: int = 0
+    """Checks on the held-out demonstrations without a lower loss after which the training ends; 0: never."""
+
     def side_of(self, camera: str) -> int:
         """Return the default side of the network's input for a camera [px]."""
         return 64 if "wrist" in camera else 96
@@ -95,6 +101,10 @@ class LearningConfig:
             raise ConfigError(f"decay_to must be 0..1, got {self.decay_to}")
         if not 0 <= self.ema_decay < 1:
             raise ConfigError(f"ema_decay must be 0..1 (exclusive), got {self.ema_decay}")
+        if min(self.held_out, self.patience) < 0 or (self.patience and not self.held_out):
+            raise ConfigError(
+                f"held_out and patience must be >= 0, and patience needs held_out: got {self.held_out}, {self.patience}"
+            )
         for camera, side in (self.image_sizes or {}).items():
             if side % 8 or not 16 <= side <= 512:
                 raise ConfigError(f"image_sizes: '{camera}' must be a multiple of 8 in 16..512 px, got {side}")

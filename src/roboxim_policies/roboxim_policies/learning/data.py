@@ -211,7 +211,31 @@ class Reading:
 
     def assemble(self) -> Demonstrations:
         """Combine all episodes."""
-        return assemble(self.episodes, camera_sizes=self.camera_sizes, semantics=self.semantics, robot=self.robot)
+        return self._assembled(self.episodes)
+
+    def split(self, held_out: int, seed: int) -> tuple[Demonstrations, Demonstrations | None]:
+        """Combine the episodes to train on, and those to hold out.
+
+        Args:
+            held_out: Number of episodes to hold out, drawn at random; 0: none.
+            seed: Seed of the draw.
+
+        Raises:
+            ConfigError: When none would be left.
+        """
+        if not held_out:
+            return self.assemble(), None
+        if held_out >= len(self.episodes):
+            raise ConfigError(f"held_out is {held_out}, and there are {len(self.episodes)} demonstrations in all")
+        drawn = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,))).permutation(len(self.episodes))
+        out = set(drawn[:held_out].tolist())
+        train = self._assembled([episode for i, episode in enumerate(self.episodes) if i not in out])
+        return train, self._assembled([self.episodes[i] for i in sorted(out)], like=train)
+
+    def _assembled(self, episodes: list[Demonstration], like: Demonstrations | None = None) -> Demonstrations:
+        return assemble(
+            episodes, camera_sizes=self.camera_sizes, semantics=self.semantics, robot=self.robot, like=like
+        )  # fmt: skip
 
 
 def read_demonstrations(

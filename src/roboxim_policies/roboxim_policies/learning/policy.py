@@ -64,6 +64,8 @@ class LearnedPolicy(BasePolicy):
         )
         self.semantics = said.semantics
         self.version = f"step {said.step}, {said.digest}"
+        if said.chosen:
+            self.version = f"step {said.chosen.step} ({said.chosen}), {said.digest}"
         weights, _ = make_network(said.config, tuple(said.camera_sizes), len(said.vocabulary), seed=0)
         averaged = said.arrays[-1]
         if weights.shape != averaged.shape:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -23,13 +23,14 @@ from jax import Array
 from roboxim_core.config import from_json, to_json, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.differences import differences
-from roboxim_policies.learning.checkpoint import Checkpoint, Statistics, load_checkpoint, save_checkpoint
+from roboxim_policies.learning.checkpoint import Checkpoint, Chosen, Statistics, load_checkpoint, save_checkpoint
 from roboxim_policies.learning.config import LearningConfig
 from roboxim_policies.learning.data import Demonstrations
 from roboxim_policies.learning.families import config_class, make_network
 from roboxim_policies.learning.features import state_features
 from roboxim_policies.learning.samples import Samples, loss_of
 from roboxim_policies.learning.supply import Supply
+from roboxim_policies.learning.validation import HeldOut
 
 DEAD_DELTA = 1e-5
 CHECKPOINT = "checkpoint.npz"
@@ -78,7 +79,7 @@ class Trainer:
 
     def __init__(
         self, data: Demonstrations, config: LearningConfig, out: Path, *, resume: bool = True,
-        encoding: Callable[[int, int], None] = lambda done, total: None,
+        encoding: Callable[[int, int], None] = lambda done, total: None, held_out: Demonstrations | None = None,
     ) -> None:  # fmt: skip
         """Prepare a training, or continue from the folder's checkpoint.
 
@@ -88,6 +89,8 @@ class Trainer:
             out: Folder for the checkpoint.
             resume: Whether to continue from an existing checkpoint.
             encoding: Called with (pictures done, pictures in all) while a pre-trained encoder reads the pictures.
+            held_out: Demonstrations that choose the weights, assembled like ``data``; needed where the configuration
+                holds some out.
 
         Raises:
             ConfigError: When a checkpoint exists and ``resume`` is False, or the checkpoint belongs to another
@@ -98,12 +101,16 @@ class Trainer:
         self.cameras = tuple(sorted(data.images))
         self.stats = statistics(data)
         weights, _ = make_network(config, self.cameras, len(data.vocabulary), config.seed)
-        # State and step are one value, so that an interruption cannot separate them.
-        self._at: tuple[Any, int] = ((weights, _optimizer(config).init(weights), weights), 0)
+        # State, step and choice are one value, so that an interruption cannot separate them.
+        state: tuple[Any, ...] = (weights, _optimizer(config).init(weights), weights)
+        self._at: tuple[Any, int, Chosen | None] = ((*state, weights) if config.held_out else state, 0, None)
         if self.path.exists():
             self._resume(resume)
         self._supply = Supply(data, config, progress=encoding)
         self._samples = self._supply.samples(self.stats)
+        self._held_out = HeldOut(held_out, config, self.stats, self.cameras) if held_out else None
+        if bool(config.held_out) != bool(held_out):
+            raise ConfigError(f"held_out is {config.held_out}, and there are {'' if held_out else 'no '}such episodes")
         self._update = _compiled_update(config.FAMILY, to_json(config), self.cameras, len(data.vocabulary))
 
     def _resume(self, resume: bool) -> None:
@@ -126,7 +133,18 @@ class Trainer:
                 f"experiment pack' left out the optimiser's state. The policy runs from it; the training {done}. "
                 "To train again, choose another output folder (--out or out=)"
             )
-        self._at = found.restore(self._at[0]), found.step
+        self._at = found.restore(self._at[0]), found.step, found.chosen
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is left to train: all steps are done, or the held-out loss has stopped to fall."""
+        chosen, patience = self.chosen, self.config.patience
+        return self.step >= self.config.steps or bool(patience and chosen and chosen.since >= patience)
+
+    @property
+    def chosen(self) -> Chosen | None:
+        """The weights that held-out demonstrations have chosen so far."""
+        return self._at[2]
 
     @property
     def step(self) -> int:
@@ -151,7 +169,7 @@ class Trainer:
         started = time.monotonic()
         recent: list[dict[str, Array]] = []
         try:
-            while self.step < last:
+            while self.step < last and not self.done:
                 parts = self._one_step()
                 if self.step == begun + 1:  # the first step compiles
                     parts["loss"].block_until_ready()
@@ -160,7 +178,8 @@ class Trainer:
                 if self.step % 10 == 0 or self.step == last:
                     progress(self._report(recent, time.monotonic() - started, self.step - first))
                     recent.clear()
-                if self.step % self.config.checkpoint_every == 0:
+                if self.step % self.config.checkpoint_every == 0 or self.step == self.config.steps:
+                    self._choose()
                     self.save()
         finally:
             self.save()
@@ -168,11 +187,26 @@ class Trainer:
 
     def _one_step(self) -> dict[str, Array]:
         parts: dict[str, Array]
-        state, step = self._at
+        (*state, averaged), step, chosen = self._at
+        kept = [averaged] if self.config.held_out else []
+        state = state if kept else [*state, averaged]
         batch, draws = self._supply.batch(step)
-        state, parts = self._update(state, self._samples, batch, draws, jnp.asarray(step))
-        self._at = state, step + 1
+        state, parts = self._update(tuple(state), self._samples, batch, draws, jnp.asarray(step))
+        self._at = (*state, *kept), step + 1, chosen
         return parts
+
+    def _choose(self) -> None:
+        """Take the present average as the policy's weights, if its loss on the held-out demonstrations is lowest."""
+        if self._held_out is None:
+            return
+        state, step, before = self._at
+        loss = self._held_out.loss(state[2])
+        checks = before.checks + 1 if before else 1
+        if before and before.loss <= loss:
+            self._at = state, step, replace(before, checks=checks, since=before.since + 1)
+        else:
+            now = Chosen(step=step, loss=loss, held_out=self._held_out.episodes, checks=checks, since=0)
+            self._at = (*state[:3], state[2]), step, now
 
     def _report(self, recent: list[dict[str, Array]], seconds: float, steps: int) -> TrainProgress:
         parts = {name: float(np.mean([float(p[name]) for p in recent])) for name in recent[0]}
@@ -184,9 +218,11 @@ class Trainer:
 
     def save(self) -> None:
         """Write the checkpoint."""
-        state, step = self._at
+        state, step, chosen = self._at
         self.out.mkdir(parents=True, exist_ok=True)
-        save_checkpoint(self.path, state, step=step, config=self.config, data=self.data, stats=self.stats)
+        save_checkpoint(
+            self.path, state, step=step, config=self.config, data=self.data, stats=self.stats, chosen=chosen
+        )  # fmt: skip
 
 
 @lru_cache(maxsize=4)

@@ -9,17 +9,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from roboxim_policies.learning.checkpoint import Checkpoint
+from roboxim_policies.learning.checkpoint import Checkpoint, Statistics
+from roboxim_policies.learning.config import LearningConfig
 from roboxim_policies.learning.data import CLOSED_BELOW, Demonstrations
 from roboxim_policies.learning.families import make_network
 from roboxim_policies.learning.features import NONE, PROPRIO_SIZE, Floats
 from roboxim_policies.learning.layers import Prediction
-from roboxim_policies.learning.samples import Wanted
+from roboxim_policies.learning.samples import Samples, Wanted, loss_of
 from roboxim_policies.learning.supply import Supply
 
 NEAR_TICKS = (2, 16)
 """Ticks before a grasp within which its predicted pose is judged."""
 BATCH = 128
+MOST = 1024
+"""Most samples of held-out demonstrations that are judged."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +67,8 @@ def validate(checkpoint: Checkpoint, data: Demonstrations) -> ValidationErrors:
         return said, jax.tree.map(lambda array: array[newest], wanted)
 
     def judged(part: Any) -> tuple[Prediction, Wanted]:
-        batch, present = supply.windows_before(part)
-        still: dict[str, Any] = {f"{camera}/gain": jnp.ones((len(batch), 1, 1, 1)) for camera in cameras}
-        none = jnp.zeros(len(batch), jnp.int32)
-        still |= {"proprio": jnp.zeros((len(batch), PROPRIO_SIZE)), "late": none, "wording": none}
-        found: tuple[Prediction, Wanted] = predict(jnp.asarray(batch), still | supply.given(batch, present))
+        batch, draws = _undisturbed(supply, cameras, part)
+        found: tuple[Prediction, Wanted] = predict(batch, draws)
         return found
 
     chunks = [judged(part) for part in np.split(np.arange(len(data)), range(BATCH, len(data), BATCH))]
@@ -90,6 +90,50 @@ def validate(checkpoint: Checkpoint, data: Demonstrations) -> ValidationErrors:
         turn_mrad=1e3 * float(move[..., 5].mean()),
         gripper=float((closes != closed)[:, executed].mean()),
     )  # fmt: skip
+
+
+class HeldOut:
+    """Demonstrations that choose among the weights of a training."""
+
+    def __init__(
+        self, data: Demonstrations, config: LearningConfig, stats: Statistics, cameras: tuple[str, ...]
+    ) -> None:
+        """Prepare the samples: at most `MOST`, evenly spaced.
+
+        Args:
+            data: The demonstrations, with the vocabulary of the training data (``assemble(like=...)``).
+            config: Configuration of the training.
+            stats: Normalisation of the training data.
+            cameras: Names of the cameras.
+        """
+        config = replace(config, retry=0.0, shift_px=0, held_out=0, patience=0)
+        supply = Supply(data, config)
+        _, network_of = make_network(config, cameras, len(data.vocabulary), 0)
+        chosen = np.arange(0, len(data), -(-len(data) // MOST))
+        self.episodes = data.episodes
+        self._batches = [
+            _undisturbed(supply, cameras, part) for part in np.split(chosen, range(BATCH, len(chosen), BATCH))
+        ]
+
+        @jax.jit
+        def judge(samples: Samples, weights: jax.Array, batch: jax.Array, draws: dict[str, Any]) -> jax.Array:
+            return loss_of(network_of(weights), *samples.draw(batch, draws, config), config)[0]
+
+        self._judge, self._samples = judge, supply.samples(stats)
+
+    def loss(self, weights: jax.Array) -> float:
+        """Return the loss of weights, without noise on the inputs."""
+        losses = [float(self._judge(self._samples, weights, *batch)) for batch in self._batches]
+        return float(np.average(losses, weights=[len(indices) for indices, _ in self._batches]))
+
+
+def _undisturbed(supply: Supply, cameras: tuple[str, ...], part: Any) -> tuple[jax.Array, dict[str, Any]]:
+    """Return samples without augmentation, each with what a policy would have seen before it."""
+    batch, present = supply.windows_before(part)
+    still: dict[str, Any] = {f"{camera}/gain": jnp.ones((len(batch), 1, 1, 1)) for camera in cameras}
+    none = jnp.zeros(len(batch), jnp.int32)
+    still |= {"proprio": jnp.zeros((len(batch), PROPRIO_SIZE)), "late": none, "wording": none}
+    return jnp.asarray(batch), still | supply.given(batch, present)
 
 
 def _quantile(values: Floats, fraction: float) -> float:

@@ -45,6 +45,8 @@ class TrainingResult:
     """The checkpoint."""
     steps: int
     """Optimiser steps of the checkpoint, over all calls."""
+    chosen: str
+    """How the policy's weights were chosen; empty: they are the last step's."""
     steps_now: int
     """Steps of this call; 0: it was trained already."""
     wall_s: float
@@ -146,11 +148,11 @@ def train_policy(
         read = read_demonstrations(
             Path(dataset), image_sizes=settings.image_sizes, side_of=settings.side_of, limit=limit, progress=reading
         )
-        data = read.assemble()
+        data, held_out = read.split(settings.held_out, settings.seed)
         del read  # its images are copies
     make_folder(folder)
     with reporter.stage("encoding pictures") if settings.ENCODER else nullcontext(_untold) as encoding:
-        trainer = Trainer(data, settings, Path(out), encoding=encoding)
+        trainer = Trainer(data, settings, Path(out), encoding=encoding, held_out=held_out)
     name_dataset(Path(dataset), folder)
     before = trainer.step
 
@@ -163,7 +165,7 @@ def train_policy(
     def training(progress: TrainProgress) -> None:
         report(progress.step, note=f"loss {progress.loss:.3f}, {progress.steps_per_s:.1f} steps/s")
 
-    if before < settings.steps:
+    if not trainer.done:
         reporter.notice(f"continuing from step {before}" if before else "")
         with reporter.resumable(unfinished), reporter.stage("training", settings.steps, "steps", before) as report:
             trainer.run(training, until=until)
@@ -172,6 +174,7 @@ def train_policy(
         checkpoint=trainer.path,
         steps=trainer.step,
         steps_now=trainer.step - before,
+        chosen=f"step {trainer.chosen.step}: {trainer.chosen}" if trainer.chosen else "",
         wall_s=time.monotonic() - started,
     )
 

@@ -114,4 +114,6 @@ def _train(
         click.echo(f"checkpoint after {result.steps} steps, {result.wall_s:.0f} s: {result.checkpoint}")
     else:
         click.echo(f"{result.checkpoint} has all {result.steps} steps already; nothing to do")
+    if result.chosen:
+        click.echo(f"the policy has the weights of {result.chosen}")
     click.echo(f"next: roboxim evaluate --policy {family} --checkpoint {out} --policy random")

@@ -1,0 +1,89 @@
+"""Held-out demonstrations choose the weights, and end a training that no longer gets better on them."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.errors import ConfigError
+from roboxim_policies.learning.checkpoint import load_checkpoint, policy_only
+from roboxim_policies.learning.data import Reading
+from roboxim_policies.learning.policy import LearnedPolicy
+from roboxim_policies.learning.train import Trainer
+
+sys.path.insert(0, str(Path(__file__).parent))
+from test_bc import CONFIG, data, episode  # noqa: E402
+
+HELD = replace(CONFIG, steps=40, checkpoint_every=10, held_out=4)
+
+
+@pytest.fixture(scope="module")
+def reading():
+    rng = np.random.default_rng(0)
+    episodes = [episode(rng, ("red", "blue")[i % 2]) for i in range(12)]
+    sizes = {"workspace": (32, 32), "wrist": (16, 16)}
+    return Reading(episodes=episodes, camera_sizes=sizes, semantics=ActionSemantics(), robot="panda")
+
+
+def trainer(reading, config, folder):
+    train, held_out = reading.split(config.held_out, config.seed)
+    return Trainer(train, config, folder, held_out=held_out)
+
+
+def test_episodes_are_trained_on_or_held_out(reading):
+    train, held_out = reading.split(4, seed=0)
+    assert (train.episodes, held_out.episodes) == (8, 4)
+    assert held_out.vocabulary == train.vocabulary
+    everything = np.concatenate([train.actions, held_out.actions])
+    assert np.allclose(np.sort(everything[:, 0]), np.sort(reading.assemble().actions[:, 0]))
+    with pytest.raises(ConfigError, match="12 demonstrations in all"):
+        reading.split(12, seed=0)
+
+
+def test_the_policy_has_the_weights_with_the_lowest_held_out_loss_also_after_an_interruption(reading, tmp_path):
+    whole = trainer(reading, HELD, tmp_path / "whole")
+    losses = {}
+    judged = whole._held_out.loss
+
+    def noted(weights):
+        losses[whole.step] = judged(weights), np.asarray(weights)
+        return losses[whole.step][0] if whole.step != 20 else -1.0  # as if step 20 were best
+
+    whole._held_out.loss = noted
+    whole.run()
+    assert sorted(losses) == [10, 20, 30, 40]
+    found = load_checkpoint(tmp_path / "whole")
+    assert (found.chosen.step, found.chosen.checks, found.chosen.since, found.step) == (20, 4, 2, 40)
+    assert np.array_equal(found.arrays[-1], losses[20][1])
+    assert (
+        "step 20 (lowest loss on 4 held-out demonstrations, of 4 checks)" in LearnedPolicy(tmp_path / "whole").version
+    )
+    assert len(policy_only(tmp_path / "whole")) < (tmp_path / "whole" / "checkpoint.npz").stat().st_size / 3
+
+    straight = trainer(reading, HELD, tmp_path / "straight")
+    straight.run()
+    trainer(reading, HELD, tmp_path / "parts").run(until=15)
+    resumed = trainer(reading, HELD, tmp_path / "parts")
+    resumed.run()
+    assert resumed.chosen == straight.chosen
+    assert load_checkpoint(tmp_path / "parts").digest == load_checkpoint(tmp_path / "straight").digest
+
+
+def test_a_training_ends_when_the_held_out_loss_stops_to_fall(reading, tmp_path):
+    config = replace(HELD, patience=2)
+    training = trainer(reading, config, tmp_path)
+    rising = iter(range(100))
+    training._held_out.loss = lambda weights: float(next(rising))
+    training.run()
+    assert (training.step, training.chosen.step, training.done) == (30, 10, True)
+    assert trainer(reading, config, tmp_path).done  # and stays ended
+
+
+def test_a_wrong_choice_is_refused(reading, tmp_path):
+    with pytest.raises(ConfigError, match="patience needs held_out"):
+        replace(CONFIG, patience=3)
+    with pytest.raises(ConfigError, match="held_out is 4, and there are no such episodes"):
+        Trainer(data(4), HELD, tmp_path)

@@ -1,0 +1,187 @@
+"""Evaluations inside the user's own training loop: `Evaluator` keeps workers warm and answers in seconds.
+
+A worker is a process with simulator, renderer and planner, without nodes. The policy stays in the user's process: a
+worker sends what it observes and waits for the actions, so a model on a GPU needs no copy and no checkpoint. The
+episodes are those that ``evaluate`` would give for the purpose and the seed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from typing import Any, Self
+
+from roboxim_bringup.process import spawn, stop
+from roboxim_core.episode import EpisodeResult, RunConfig
+from roboxim_core.errors import ConfigError, UnavailableError
+from roboxim_core.policies import Policy
+from roboxim_eval.statistics.rates import SuccessRate, rate_of
+from roboxim_runs.episodes.task_choice import task_text
+
+WORKER = "roboxim_runs.evaluation.beside_worker"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Result of an evaluation inside a training."""
+
+    episodes: tuple[EpisodeResult, ...]
+    """Results, by index."""
+    seconds: float
+    """Wall time [s]."""
+
+    @property
+    def successes(self) -> int:
+        """Number of episodes that succeeded."""
+        return sum(episode.outcome == "success" for episode in self.episodes)
+
+    @property
+    def rate(self) -> SuccessRate:
+        """Success rate with its 95 % interval."""
+        return rate_of(self.episodes)
+
+    def __str__(self) -> str:
+        """Say it in one line."""
+        return f"success {self.successes} of {len(self.episodes)}, {self.seconds:.0f} s"
+
+
+@dataclass
+class _Worker:
+    """A worker, and the policy that acts in its episodes."""
+
+    process: subprocess.Popen[bytes]
+    connection: Connection[Any, Any]
+    policy: Policy | None = None
+    index: int | None = None
+
+
+class Evaluator:
+    """Evaluates the policy of a training that is running; a context manager.
+
+    Non-obvious:
+
+    - Scenes have the purpose ``train``: choosing a checkpoint by them does not use up the scenes of ``evaluate``.
+      Each call has the same scenes, so that its numbers can be compared with those of the call before.
+    - The first call starts the workers, which takes some seconds; the later ones find them warm.
+    - An exception of the policy is raised as it is, and ends the workers; the next call starts new ones.
+    """
+
+    def __init__(
+        self, task: str = "", *, episodes: int = 20, workers: int = 2, size: int = 128, seed: int = 0,
+        purpose: str = "train", max_steps: int = 0, renderer: str = "raster",
+    ) -> None:  # fmt: skip
+        """Read the task; nothing is started yet.
+
+        Args:
+            task: Task of ``config/tasks``, or a YAML file; empty: the default task.
+            episodes: Number of episodes of each call.
+            workers: Number of processes, each with about 0.6 GB.
+            size: Side of the pictures [px].
+            seed: Seed of the scenes.
+            purpose: ``train``, ``eval`` or ``test``: scenes of different purposes are never the same.
+            max_steps: Actions per episode; 0: as the task says.
+            renderer: ``raster`` (needs EGL) or ``tiny``.
+
+        Raises:
+            ConfigError: When there is no such task, or a number is below 1.
+        """
+        if min(episodes, workers, size) < 1:
+            raise ConfigError(f"episodes, workers and size must be >= 1, got {episodes}, {workers}, {size}")
+        self._config = RunConfig(
+            run_seed=seed, purpose=purpose, task_config=task_text(task), image_width=size, image_height=size,
+            max_steps=max_steps,
+        )  # fmt: skip
+        self._episodes, self._count, self._renderer = episodes, min(workers, episodes), renderer
+        self._workers: list[_Worker] = []
+
+    def __call__(self, make: Callable[[], Policy]) -> Score:
+        """Evaluate a policy in all episodes.
+
+        Args:
+            make: Makes the policy, once for each worker, e.g. ``lambda: MyPolicy(model)``: each plays another episode
+                at the same time, so each needs a memory of its own. They may share the model.
+
+        Raises:
+            UnavailableError: When a worker has died.
+            Exception: What the policy has raised.
+        """
+        began = time.monotonic()
+        try:
+            self._start()
+            waiting, found = list(range(self._episodes)), dict[int, EpisodeResult]()
+            for worker in self._workers:
+                worker.policy = make()
+                worker.connection.send(("policy", worker.policy.describe()))
+                self._next(worker, waiting)
+            while len(found) < self._episodes:
+                for connection in wait([worker.connection for worker in self._workers], timeout=1.0):
+                    worker = next(worker for worker in self._workers if worker.connection is connection)
+                    if (result := self._answer(worker)) is not None:
+                        found[result[0]] = result[1]
+                        self._next(worker, waiting)
+        except BaseException:
+            self.close()
+            raise
+        return Score(episodes=tuple(found[i] for i in range(self._episodes)), seconds=time.monotonic() - began)
+
+    def _start(self) -> None:
+        """Start the workers, unless they run."""
+        while len(self._workers) < self._count:
+            here, there = socket.socketpair()
+            with there:
+                process = spawn(WORKER, [str(there.fileno()), self._renderer], pass_fds=(there.fileno(),))
+            self._workers.append(_Worker(process, Connection(here.detach())))
+            self._workers[-1].connection.send(self._config)
+
+    @staticmethod
+    def _next(worker: _Worker, waiting: list[int]) -> None:
+        """Give a worker its next episode, if there is one."""
+        worker.index = waiting.pop(0) if waiting else None
+        if worker.index is not None:
+            worker.connection.send(("episode", worker.index))
+
+    @staticmethod
+    def _answer(worker: _Worker) -> tuple[int, EpisodeResult] | None:
+        """Answer what a worker asks; return its episode's result, if that is what it says."""
+        assert worker.policy is not None
+        try:
+            kind, value = worker.connection.recv()
+        except (EOFError, OSError):
+            code = worker.process.poll()
+            raise UnavailableError(
+                f"a worker of the evaluator has died (exit code {code}) in episode {worker.index}; its last words are "
+                "above"
+            ) from None
+        if kind == "result":
+            assert worker.index is not None
+            return worker.index, value
+        if kind == "reset":
+            worker.policy.reset(value)
+            worker.connection.send(None)
+        else:
+            worker.connection.send(worker.policy.act(value))
+        return None
+
+    def close(self) -> None:
+        """End the workers; a later call starts new ones."""
+        stop(worker.process for worker in self._workers)
+        for worker in self._workers:
+            with contextlib.suppress(OSError):
+                worker.connection.close()
+        self._workers = []
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the workers."""
+        self.close()
+
+
+__all__ = ["Evaluator", "Score"]

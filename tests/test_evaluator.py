@@ -1,0 +1,69 @@
+"""`roboxim.Evaluator` plays episodes with a policy of this process, and the example in the documentation runs."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import roboxim
+from roboxim_core.errors import ConfigError, UnavailableError
+from roboxim_policies import BasePolicy
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "generalists.md"
+EXAMPLE = re.search(r"```python not-run\n(.*?Evaluator.*?)```", PAGE.read_text(), re.DOTALL).group(1)
+
+
+class Lowering(BasePolicy):
+    """Moves down, and counts; or raises, or ends its worker."""
+
+    cameras = ("wrist",)
+    horizon = 4
+
+    def __init__(self, seen, fault=None):
+        self.seen, self.fault = seen, fault
+
+    def act(self, window):
+        if self.fault:
+            self.fault()
+        self.seen.append((window.episode_id, window.newest.images["wrist"].shape, window.instruction))
+        return np.tile(np.array([0, 0, -0.01, 0, 0, 0, 1], np.float32), (4, 1))
+
+
+def test_wrong_numbers_and_tasks_are_named_before_anything_starts():
+    with pytest.raises(ConfigError, match="must be >= 1"):
+        roboxim.Evaluator(episodes=0)
+    with pytest.raises(ConfigError, match="no_such_task"):
+        roboxim.Evaluator("no_such_task")
+
+
+@pytest.mark.slow
+def test_the_same_scenes_are_played_at_each_call_by_warm_workers_and_errors_are_the_user_s(tmp_path):
+    def broken():
+        raise RuntimeError("mine")
+
+    def end_worker():
+        evaluator._workers[0].process.kill()
+
+    first, second = [], []
+    with roboxim.Evaluator("pick_cube", episodes=3, workers=2, size=64, max_steps=12) as evaluator:
+        scores = [evaluator(lambda: Lowering(first))]
+        pids = [worker.process.pid for worker in evaluator._workers]
+        scores.append(evaluator(lambda: Lowering(second)))
+        assert [worker.process.pid for worker in evaluator._workers] == pids
+        assert sorted(first) == sorted(second)
+        assert len({episode for episode, *_ in first}) == 3
+        assert {shape for _, shape, _ in first} == {(64, 64, 3)}
+        assert all(str(score).startswith("success 0 of 3, ") and score.rate.episodes == 3 for score in scores)
+        with pytest.raises(RuntimeError, match="mine"):
+            evaluator(lambda: Lowering([], broken))
+        with pytest.raises(UnavailableError, match="a worker of the evaluator has died"):
+            evaluator(lambda: Lowering([], end_worker))
+
+
+@pytest.mark.slow
+def test_the_example_runs(capsys):
+    assert 25 <= len(EXAMPLE.splitlines()) <= 35
+    exec(compile(EXAMPLE, str(PAGE), "exec"), {"__name__": "example"})
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(",")[0] for line in lines] == ["10 success 0 of 2", "20 success 0 of 2"]
