@@ -104,7 +104,8 @@ def episode(seed: int = 0, instruction: str = "Pick up the cube", **changes: Any
         episode_id=f"demo-0-{seed:05d}-0", length=steps, instruction=instruction,
         semantics=ActionSemantics(), cameras={name: ImageSize(height=32, width=32) for name in values["images"]},
         success=True, robot="panda", joint_names=JOINTS, fps=10.0, vectors=names,
-        metadata={"run_seed": 0, "index": seed, "task": '{"instruction": "Pick up the cube"}'}, read=read,
+        metadata={"run_seed": 0, "index": seed, "task": '{"instruction": "Pick up the cube", "skill": "pick_up"}'},
+        read=read,
     )  # fmt: skip
     return replace(made, **changes)
 

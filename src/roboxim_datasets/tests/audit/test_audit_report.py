@@ -65,7 +65,7 @@ def test_the_json_has_every_finding_with_its_rate(report: AuditReport, tmp_path:
 
 
 def test_the_summary_counts(report: AuditReport) -> None:
-    assert summary_line(report.result) == "3 checks of 23 found faults, in 2 of 5 episodes; 9 could not be made"
+    assert summary_line(report.result) == "3 checks of 24 found faults, in 2 of 5 episodes; 9 could not be made"
     assert summary_line(Auditor(["idle"]).result()) == "0 checks of 1 found faults in 0 episodes; 1 could not be made"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -366,6 +367,33 @@ def test_failed_rollouts_are_no_wrong_instructions() -> None:
     failed = with_truth(meaning=Meaning(ever=False))
     failed = replace(failed, episode=replace(failed.episode, success=False))
     assert "failed" in unchecked("wrong_instruction", failed)
+
+
+def drawn(number: int, target: str, skill: str = "pick_up", run: int = 0) -> Any:
+    """Return an episode whose recorded task says what was drawn for its scene."""
+    made = audited.episode(number)
+    task = json.dumps({"skill": skill, "instruction": "Pick up the cube", "drawn": {"target": target}})
+    return replace(made, metadata={**made.metadata, "run_seed": run, "task": task})
+
+
+def test_a_task_of_another_run_is_found() -> None:
+    episodes = [drawn(number, str(number)) for number in range(8)]
+    assert not found("recorded_task", *episodes)
+    assert found("recorded_task", *episodes[:7], drawn(7, "7", "push")) == ("e7",)
+    mixed = [drawn(number, str(number), "push" if number % 2 else "pick_up") for number in range(8)]
+    assert not found("recorded_task", *mixed)
+
+
+def test_a_task_that_two_episodes_record_is_found() -> None:
+    episodes = [drawn(number, str(number)) for number in range(8)]
+    (text,) = texts("recorded_task", *episodes, drawn(8, "3"))
+    assert "one recorded task" in text or "has the recorded task of" in text
+    still = audited.arrays(9)["tcp_position"] * 0 + 0.1
+    other = replace(drawn(9, "3"), read=audited.episode(9, tcp_position=still).read)
+    assert found("recorded_task", *episodes, other) == ("e8",)
+    assert not found("recorded_task", *(drawn(number, "3") for number in range(8))), "nothing is drawn there"
+    plain = audited.episode()
+    assert "recorded task" in unchecked("recorded_task", replace(plain, metadata={}))
 
 
 def test_replay_errors() -> None:

@@ -23,7 +23,7 @@ SIDE_EFFECTS = {
     "state_lag": {"frozen_camera"},
 }
 """Fault to the checks that may find it, too."""
-GENERAL = {"motion", "labels", "kinematics", "behaviour"}
+GENERAL = {"motion", "labels", "kinematics", "behaviour", "recorded_task"}
 """Checks that know no faults and may find any."""
 TASKS = ("Pick up the cube", "Pick up the apple")
 TASK = (

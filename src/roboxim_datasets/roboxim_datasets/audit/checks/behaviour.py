@@ -39,7 +39,7 @@ class Behaviour(AuditCheck):
         words = episode.episode.instruction.lower().split()
         if not words:
             raise CannotCheckError("the instruction is empty")
-        self._features.append(_features(episode))
+        self._features.append(movement(episode))
         self._seen.append((episode.name, words[0], episode.episode.success is False))
         yield from ()
 
@@ -73,8 +73,12 @@ class Behaviour(AuditCheck):
                 )
 
 
-def _features(episode: AuditEpisode) -> Values:
-    """Return what the arm does, in about ten numbers."""
+def movement(episode: AuditEpisode) -> Values:
+    """Return what the arm does, in about ten numbers.
+
+    Raises:
+        CannotCheckError: When the dataset lacks positions or the gripper's opening, or they are not finite.
+    """
     place = episode.field("tcp_position").astype(float)
     opening = episode.field("gripper_opening")[:, 0].astype(float)
     if not (np.isfinite(place).all() and np.isfinite(opening).all()):

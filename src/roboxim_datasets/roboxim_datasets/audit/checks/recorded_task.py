@@ -1,0 +1,133 @@
+"""Whether the task that is recorded beside an episode can be its own."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.documents import parse_json
+from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
+from roboxim_datasets.audit.checks.behaviour import movement
+from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Severity, Values
+
+MOST_SHARED = 0.25
+"""Largest share of episodes whose task another episode has too, where scenes are drawn: beyond, they are not."""
+FEWEST = 4
+"""Fewest other episodes of a run, or of a skill, by which an episode is judged."""
+APART = 1.25
+"""Times as far from a skill's episodes as the other one of a pair, from which an episode is the wrong one."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Seen:
+    """What the check keeps of an episode."""
+
+    name: str
+    run: str
+    skill: str
+    task: str
+    moves: Values | None
+
+
+@AUDIT_CHECKS.register("recorded_task")
+class RecordedTask(AuditCheck):
+    """A recorded task that is another episode's."""
+
+    title = "The recorded task is another episode's"
+    reason = "The instruction comes from the task: the policy learns to do something other than what it is told."
+    threshold = (
+        f"a skill that none of the {FEWEST} or more other episodes of its run has, while these share one; or a task "
+        "that is, with all that was drawn for its scene, another episode's word for word, in a dataset where at most "
+        f"{100 * MOST_SHARED:.0f} % of the episodes share theirs. Of two with one task that one is named which moves "
+        "less like the other episodes of the skill; if neither does, both are a warning"
+    )
+    needs = "the recorded task and run, as RoboXim's exports and bags have them"
+    order = 6
+
+    def __init__(self) -> None:
+        """Remember the episodes: tasks are compared with those of all others."""
+        self._seen: list[_Seen] = []
+
+    def look(self, episode: AuditEpisode) -> Iterator[Finding]:
+        """Keep the task, and how the arm moves."""
+        metadata = episode.episode.metadata
+        text = str(metadata.get("task", ""))
+        try:
+            task = parse_json(text, source="task")
+        except ConfigError:
+            task = None
+        if not isinstance(task, dict) or "skill" not in task:
+            raise CannotCheckError("the dataset does not hold the recorded task")
+        try:
+            moves = movement(episode)
+        except CannotCheckError:
+            moves = None
+        self._seen.append(
+            _Seen(name=episode.name, run=str(metadata.get("run_seed", "")), skill=str(task["skill"]), task=text,
+                  moves=moves)
+        )  # fmt: skip
+        yield from ()
+
+    def conclude(self) -> Iterator[Finding]:
+        """Compare the tasks."""
+        strange = {seen.name: usual for seen, usual in _strange_in_run(self._seen)}
+        for seen in self._seen:
+            if seen.name in strange:
+                text = f"its recorded skill is '{seen.skill}', all others of its run are of '{strange[seen.name]}'"
+                yield Finding(text=text, episodes=(seen.name,), ticks=(0,))
+        groups = defaultdict(list)
+        for seen in self._seen:
+            groups[seen.task].append(seen)
+        shared = [group for group in groups.values() if len(group) > 1]
+        if sum(map(len, shared)) > max(2, MOST_SHARED * len(self._seen)):
+            return
+        for group in shared:
+            rest = [seen for seen in group if seen.name not in strange]
+            if len(rest) > 1:
+                yield self._of_shared(rest)
+
+    def _of_shared(self, group: Sequence[_Seen]) -> Finding:
+        names = tuple(seen.name for seen in group)
+        others = [seen for seen in self._seen if seen.skill == group[0].skill and seen.name not in names]
+        wrong = _least_alike(group, others)
+        text = "it has the recorded task of " if wrong else "they have one recorded task: "
+        return Finding(
+            text=text + ", ".join(name for name in names if name != wrong) + ", drawn scene included",
+            episodes=(wrong,) if wrong else names,
+            ticks=(0,),
+            severity=Severity.FAULT if wrong else Severity.WARNING,
+        )
+
+
+def _strange_in_run(seen: Sequence[_Seen]) -> Iterator[tuple[_Seen, str]]:
+    """Yield episodes whose skill no other one of their run has, with the skill that all others share."""
+    runs = defaultdict(list)
+    for one in seen:
+        runs[one.run].append(one)
+    for run, members in runs.items():
+        counts = Counter(one.skill for one in members)
+        usual, count = counts.most_common(1)[0]
+        rest = len(members) - count
+        if run and count >= FEWEST and 0 < rest <= MOST_SHARED * len(members) and _most_of_another(counts, usual) == 1:
+            yield from ((one, usual) for one in members if one.skill != usual)
+
+
+def _most_of_another(counts: Counter[str], usual: str) -> int:
+    """Return the largest count of a skill other than the usual one."""
+    return max(count for skill, count in counts.items() if skill != usual)
+
+
+def _least_alike(group: Sequence[_Seen], others: Sequence[_Seen]) -> str:
+    """Return which of some episodes moves least like others, if it is clear; empty: it is not."""
+    known = [one.moves for one in others if one.moves is not None]
+    if len(known) < FEWEST or any(one.moves is None for one in group):
+        return ""
+    rows = np.stack(known)
+    spread = np.maximum(np.quantile(rows, 0.9, axis=0) - np.quantile(rows, 0.1, axis=0), 0.02)
+    far = [float(np.sort(np.linalg.norm((rows - one.moves) / spread, axis=1))[:FEWEST].mean()) for one in group]
+    order = np.argsort(far)
+    return group[int(order[-1])].name if far[order[-1]] > APART * far[order[-2]] else ""
