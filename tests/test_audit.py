@@ -200,5 +200,6 @@ def test_every_fault_names_a_check_and_a_place() -> None:
         assert kind.bags or kind.datasets
         assert kind.title
     found = {kind.found_by for kind in kinds.values()}
-    general = {"behaviour", "content", "labels", "motion", "recorded_task"}  # they know no faults; composed ones are planted for them
+    # these know no faults; composed ones are planted for them
+    general = {"behaviour", "content", "labels", "motion", "recorded_task"}
     assert found | general == set(AUDIT_CHECKS), "every check has a fault that it must find"

@@ -28,6 +28,7 @@ def open_dataset(path: Path | str, *, format: str = "") -> Dataset:
     if not place.exists():
         raise ConfigError(f"no such folder: {place}; expected a dataset, as 'roboxim export' makes it")
     found = [(name, at) for name in ([format] if format else FORMATS) for at in FORMATS[name]().find(place)]
+    found = [(name, at) for name, at in found if at == place] or found  # not what lies below it, as by a link to it
     if len(found) == 1:
         name, at = found[0]
         with reading(at):

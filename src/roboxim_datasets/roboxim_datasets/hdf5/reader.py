@@ -130,12 +130,13 @@ class Hdf5Dataset(Dataset):
         taken: set[str] = set()
         read = [name for name in self._names_of_demos if name not in self._unread]
         masks = {_SPLITS.get(mask, mask): mask for mask in self._masks}
+        order = tuple(dict.fromkeys((*_ORDER, *masks))) if ATTRIBUTE in self._attributes else _ORDER
         for mask, members in self._masks.items():
-            if _SPLITS.get(mask, mask) not in _ORDER:
+            if _SPLITS.get(mask, mask) not in order:
                 lost[mask] = "not one of train, valid, test"
             elif members is None:
                 lost[mask] = "not a list of names"
-        for split in _ORDER:
+        for split in order:
             named = self._masks.get(masks.get(split, "")) or set()
             found[split] = [name for name in read if name in named and name not in taken]
             taken |= set(found[split])
@@ -144,7 +145,7 @@ class Hdf5Dataset(Dataset):
             found["train"] = sorted([*found["train"], *rest], key=read.index)
         else:
             self._unread |= dict.fromkeys(rest, "no mask names it, and there is a mask 'train'")
-        return {name: found[name] for name in _ORDER if found[name]}, lost
+        return {name: found[name] for name in order if found[name]}, lost
 
     @property
     def splits(self) -> Mapping[str, int]:

@@ -69,6 +69,11 @@ class Hdf5Writer:
         content, length = self.content, episode.length
         group.require_group("obs")  # also without any observation
         group.attrs["num_samples"] = length
+        if "\0" in episode.instruction:
+            raise InvalidRequestError(
+                f"episode '{episode.episode_id}': the instruction {episode.instruction!r} has a NUL character, which "
+                "an HDF5 text cannot hold; correct it in the source, or write another format"
+            )
         group.attrs["instruction"] = episode.instruction
         group.attrs["ep_meta"] = json.dumps({"lang": episode.instruction})  # as robocasa says it
         said: dict[str, Any] = {

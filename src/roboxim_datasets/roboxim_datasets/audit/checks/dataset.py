@@ -168,5 +168,5 @@ def action_hash(actions: Floats) -> str:
 
 def _first_cells(episode: AuditEpisode) -> Floats:
     """Return the first images' summaries, cameras in order of their names."""
-    tracks = [episode.tracks[camera].cells[0] for camera in sorted(episode.tracks)]
-    return np.stack(tracks) if tracks else np.zeros(0, np.float32)
+    tracks = [episode.tracks[camera].cells[0].ravel() for camera in sorted(episode.tracks)]  # of several sizes
+    return np.concatenate(tracks) if tracks else np.zeros(0, np.float32)

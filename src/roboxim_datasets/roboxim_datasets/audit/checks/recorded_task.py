@@ -18,7 +18,7 @@ MOST_SHARED = 0.25
 """Largest share of episodes whose task another episode has too, where scenes are drawn: beyond, they are not."""
 FEWEST = 4
 """Fewest other episodes of a run, or of a skill, by which an episode is judged."""
-APART = 1.25
+APART = 1.6
 """Times as far from a skill's episodes as the other one of a pair, from which an episode is the wrong one."""
 
 
