@@ -42,8 +42,8 @@ class RecordedTask(AuditCheck):
     threshold = (
         f"a skill that none of the {FEWEST} or more other episodes of its run has, while these share one; or a task "
         "that is, with all that was drawn for its scene, another episode's word for word, in a dataset where at most "
-        f"{100 * MOST_SHARED:.0f} % of the episodes share theirs. Of two with one task that one is named which moves "
-        "less like the other episodes of the skill; if neither does, both are a warning"
+        f"{100 * MOST_SHARED:.0f} % of the episodes share theirs. Of two with one task that one is named whose run has "
+        "the skill nowhere else, or which moves less like the other episodes of the skill; else both are a warning"
     )
     needs = "the recorded task and run, as RoboXim's exports and bags have them"
     order = 6
@@ -93,7 +93,7 @@ class RecordedTask(AuditCheck):
     def _of_shared(self, group: Sequence[_Seen]) -> Finding:
         names = tuple(seen.name for seen in group)
         others = [seen for seen in self._seen if seen.skill == group[0].skill and seen.name not in names]
-        wrong = _least_alike(group, others)
+        wrong = self._alone_in_its_run(group) or _least_alike(group, others)
         text = "it has the recorded task of " if wrong else "they have one recorded task: "
         return Finding(
             text=text + ", ".join(name for name in names if name != wrong) + ", drawn scene included",
@@ -101,6 +101,13 @@ class RecordedTask(AuditCheck):
             ticks=(0,),
             severity=Severity.FAULT if wrong else Severity.WARNING,
         )
+
+    def _alone_in_its_run(self, group: Sequence[_Seen]) -> str:
+        """Return the only one of some episodes whose run has the skill nowhere else; empty: it is not the only one."""
+        shared = Counter((seen.run, seen.skill) for seen in self._seen)
+        others = {one.name: shared[one.run, one.skill] - sum(two.run == one.run for two in group) for one in group}
+        alone = [name for name, count in others.items() if not count]
+        return alone[0] if len(alone) == 1 else ""
 
 
 def _strange_in_run(seen: Sequence[_Seen]) -> Iterator[tuple[_Seen, str]]:
