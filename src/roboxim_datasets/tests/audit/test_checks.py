@@ -390,7 +390,9 @@ def test_a_task_that_two_episodes_record_is_found() -> None:
     assert "one recorded task" in text or "has the recorded task of" in text
     still = audited.arrays(9)["tcp_position"] * 0 + 0.1
     other = replace(drawn(9, "3"), read=audited.episode(9, tcp_position=still).read)
-    assert found("recorded_task", *episodes, other) == ("e8",)
+    assert not found("recorded_task", *episodes, other), "of one skill, how it moves tells nothing"
+    pushes = [drawn(number, str(number), "push") for number in (10, 11)]
+    assert found("recorded_task", *episodes, other, *pushes) == ("e8",)
     assert not found("recorded_task", *(drawn(number, "3") for number in range(8))), "nothing is drawn there"
     plain = audited.episode()
     assert "recorded task" in unchecked("recorded_task", replace(plain, metadata={}))

@@ -43,7 +43,8 @@ class RecordedTask(AuditCheck):
         f"a skill that none of the {FEWEST} or more other episodes of its run has, while these share one; or a task "
         "that is, with all that was drawn for its scene, another episode's word for word, in a dataset where at most "
         f"{100 * MOST_SHARED:.0f} % of the episodes share theirs. Of two with one task that one is named whose run has "
-        "the skill nowhere else, or which moves less like the other episodes of the skill; else both are a warning"
+        "the skill nowhere else, or, in a run of several skills, which moves less like the others of this one; "
+        "else both are a warning"
     )
     needs = "the recorded task and run, as RoboXim's exports and bags have them"
     order = 6
@@ -93,7 +94,9 @@ class RecordedTask(AuditCheck):
     def _of_shared(self, group: Sequence[_Seen]) -> Finding:
         names = tuple(seen.name for seen in group)
         others = [seen for seen in self._seen if seen.skill == group[0].skill and seen.name not in names]
-        wrong = self._alone_in_its_run(group) or _least_alike(group, others)
+        runs = {seen.run for seen in group}
+        mixed = any(seen.skill != group[0].skill for seen in self._seen if seen.run in runs)
+        wrong = self._alone_in_its_run(group) or (_least_alike(group, others) if mixed else "")
         text = "it has the recorded task of " if wrong else "they have one recorded task: "
         return Finding(
             text=text + ", ".join(name for name in names if name != wrong) + ", drawn scene included",
@@ -131,10 +134,11 @@ def _most_of_another(counts: Counter[str], usual: str) -> int:
 def _least_alike(group: Sequence[_Seen], others: Sequence[_Seen]) -> str:
     """Return which of some episodes moves least like others, if it is clear; empty: it is not."""
     known = [one.moves for one in others if one.moves is not None]
-    if len(known) < FEWEST or any(one.moves is None for one in group):
+    moves = [one.moves for one in group if one.moves is not None]
+    if len(known) < FEWEST or len(moves) < len(group):
         return ""
     rows = np.stack(known)
     spread = np.maximum(np.quantile(rows, 0.9, axis=0) - np.quantile(rows, 0.1, axis=0), 0.02)
-    far = [float(np.sort(np.linalg.norm((rows - one.moves) / spread, axis=1))[:FEWEST].mean()) for one in group]
+    far = [float(np.sort(np.linalg.norm((rows - own) / spread, axis=1))[:FEWEST].mean()) for own in moves]
     order = np.argsort(far)
     return group[int(order[-1])].name if far[order[-1]] > APART * far[order[-2]] else ""
