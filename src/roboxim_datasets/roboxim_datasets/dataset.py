@@ -59,9 +59,9 @@ class Description:
     fps: float = 0.0
     """Steps per second; 0: the dataset does not say."""
     robot: str = ""
-    """Id of the robot model; empty: the dataset does not say."""
+    """Id of the robot model, or of several (`BETWEEN_ROBOTS`); empty: the dataset does not say."""
     joint_names: tuple[str, ...] = ()
-    """Arm joints in the order of joint vectors; empty: the dataset does not say."""
+    """Arm joints in the order of joint vectors; empty: the dataset does not say, or its robots have different ones."""
     semantics: ActionSemantics | None = None
     """Meaning of the actions; None: the dataset does not say."""
     text: str = ""
@@ -92,8 +92,8 @@ class Description:
             length: Number of steps.
             instruction: Instruction.
             success: Whether the task was solved, as far as the format itself says it; None: it does not.
-            said: What RoboXim's export says of the episode (``episode_id``, ``success``, ``metadata``); empty: it is
-                another's dataset.
+            said: What RoboXim's export says of the episode (``episode_id``, ``success``, ``metadata``, and ``robot`` in
+                a dataset of several); empty: it is another's dataset.
             read: Reads the steps.
             instructions: All instructions, if it has several.
             name: Id of an episode of which no export says anything.
@@ -108,7 +108,7 @@ class Description:
             semantics=self.semantics,
             cameras=features.cameras,
             success=None if solved is None else bool(solved),
-            robot=self.robot,
+            robot=str(said.get("robot", self.robot)),
             joint_names=self.joint_names,
             fps=self.fps,
             vectors=features.vectors,

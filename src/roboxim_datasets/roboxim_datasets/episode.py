@@ -54,6 +54,8 @@ task's JSON, and ``final_state_hash`` is the hash of the bag's last state. An `E
 those are JSON if they are not plain values: ``cameras`` (image key to camera), ``state_layout`` (names of the
 components of ``state``), ``vectors`` (vector or signal to the names of its components), ``action_semantics``,
 ``joint_names``."""
+BETWEEN_ROBOTS = "+"
+"""What stands between the robots of a dataset of several, e.g. ``fr3+panda``; each of its episodes names its own."""
 OWN_FIELDS = frozenset(
     ("episode_id", "success", "robot", "action_semantics", "cameras", "state_layout", "joint_names", "vectors")
 )

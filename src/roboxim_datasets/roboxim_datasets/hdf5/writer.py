@@ -79,6 +79,8 @@ class Hdf5Writer:
         said: dict[str, Any] = {
             "episode_id": episode.episode_id, "success": episode.success, "metadata": dict(episode.metadata)
         }  # fmt: skip
+        if episode.robot != self._description.robot:
+            said["robot"] = episode.robot
         if episode.instructions:
             said["instructions"] = list(episode.instructions)
         group.attrs[ATTRIBUTE] = json.dumps(said)

@@ -215,5 +215,11 @@ class _Collected:
         for key, samples in self._samples.items():
             table = table.append_column(SAMPLE + key, sample_column(samples))
         histograms = {key: statistics.histogram.tolist() for key, statistics in self._statistics.items()}
-        said = {"episode_id": episode.episode_id, "success": episode.success, "metadata": dict(episode.metadata)}
+        said: dict[str, Any] = {
+            "episode_id": episode.episode_id,
+            "success": episode.success,
+            "metadata": dict(episode.metadata),
+        }
+        if episode.robot != self._layout.robot_type:
+            said["robot"] = episode.robot
         return Piece(table=table, facts={"episode": said, "histograms": histograms, "images": len(table)})

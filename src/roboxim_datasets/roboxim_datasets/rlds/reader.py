@@ -14,7 +14,7 @@ from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, Rec
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_datasets.account import Account, Kind
 from roboxim_datasets.dataset import Dataset, Description, Features
-from roboxim_datasets.episode import Episode, ImageSize
+from roboxim_datasets.episode import BETWEEN_ROBOTS, Episode, ImageSize
 from roboxim_datasets.files import file_in, reading
 from roboxim_datasets.pictures import head_of
 from roboxim_datasets.rlds.episodes import camera_keys, component_names_of, from_rlds
@@ -248,7 +248,7 @@ class RldsDataset(Dataset):
                 signals=names.signals,
             ),
             fps=episode.fps,
-            robot=episode.robot,
+            robot=BETWEEN_ROBOTS.join(self.facts.get("robots", ())) or episode.robot,
             joint_names=episode.joint_names,
             semantics=episode.semantics,
             text=self.reader.text,

@@ -19,7 +19,7 @@ from roboxim_core.actions import ACTION_SIZE, ActionSemantics, GripperConvention
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.proprioception import STATE_NAMES
 from roboxim_core.vision.images import resized
-from roboxim_datasets.episode import Episode
+from roboxim_datasets.episode import BETWEEN_ROBOTS, Episode
 from roboxim_datasets.formats import open_dataset
 from roboxim_policies.learning.config import LearningConfig
 from roboxim_policies.learning.features import (
@@ -99,7 +99,7 @@ class Demonstrations:
     episodes: int
     """Number of episodes."""
     robot: str = ""
-    """Id of the robot model of the demonstrations; empty: unknown."""
+    """Id of the robot model of the demonstrations, or of several (`BETWEEN_ROBOTS`); empty: unknown."""
 
     def __len__(self) -> int:
         """Count the steps."""
@@ -207,7 +207,7 @@ class Reading:
     semantics: ActionSemantics
     """Meaning of the actions."""
     robot: str
-    """Id of the robot model; empty: unknown."""
+    """Id of the robot model, or of several (`BETWEEN_ROBOTS`); empty: unknown."""
 
     def assemble(self) -> Demonstrations:
         """Combine all episodes."""
@@ -259,7 +259,7 @@ def read_demonstrations(
 
     Raises:
         ConfigError: When there is no dataset, a camera or a component of the state is not in it, or episodes differ in
-            their action semantics or their robot.
+            their action semantics.
         InvalidRequestError: When there is no such split.
         RecorderError: When the dataset is damaged.
     """
@@ -288,10 +288,10 @@ def read_demonstrations(
         raise ConfigError(f"{path}: it learns {ACTION_SIZE} numbers, an end-effector motion; export such actions")
     if semantics.gripper is not GripperConvention.ABSOLUTE_OPEN_1_CLOSED_0:
         raise ConfigError(f"{path}: it learns grippers with 1 = open and 0 = closed; export such actions")
-    if len(robots) > 1:
-        raise ConfigError(f"{path}: episodes of several robots ({', '.join(sorted(robots))}); export each robot apart")
     camera_sizes = {camera: (cameras[camera].width, cameras[camera].height) for camera in sizes}
-    return Reading(episodes=episodes, camera_sizes=camera_sizes, semantics=semantics, robot=robots.pop())
+    return Reading(
+        episodes=episodes, camera_sizes=camera_sizes, semantics=semantics, robot=BETWEEN_ROBOTS.join(sorted(robots))
+    )
 
 
 def _demonstration(episode: Episode, sizes: Mapping[str, int]) -> Demonstration:

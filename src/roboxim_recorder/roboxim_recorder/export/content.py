@@ -35,9 +35,15 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.proprioception import STATE_FIELDS, Proprioception, ProprioField, component_names
 from roboxim_core.rotation.representations import RotationRepresentation
 from roboxim_datasets.dataset import Description, Features
-from roboxim_datasets.episode import EXECUTED, Floats, ImageSize, RGBImage
+from roboxim_datasets.episode import BETWEEN_ROBOTS, EXECUTED, Floats, ImageSize, RGBImage
 from roboxim_datasets.rlds.episodes import USUAL_KEYS
-from roboxim_recorder.export.fit import camera_sizes, joint_names_of, one_robot, one_semantics
+from roboxim_recorder.export.fit import (
+    camera_sizes,
+    firsts_of_robots,
+    joint_names_of,
+    one_semantics,
+    require_common_space,
+)
 from roboxim_recorder.export.selection import Selection, Source
 
 PREFIX = "observation/"
@@ -74,10 +80,10 @@ class Content:
     """Meaning of the exported actions in RoboXim's units, before a named convention scales and orders them."""
     every: int
     """Recorded ticks per exported step."""
-    robot: str
-    """Id of the robot model."""
+    robots: tuple[str, ...]
+    """Ids of the robot models."""
     joint_names: tuple[str, ...]
-    """Arm joints of the robot."""
+    """Arm joints of the robots; empty: they have different ones."""
     keys: Mapping[str, str]
     """Camera to image key."""
     sizes: Mapping[str, ImageSize]
@@ -116,12 +122,22 @@ class Content:
             names[place] = name
         return tuple(names)
 
-    @cached_property
-    def kinematics(self) -> Kinematics | None:
-        """The robot's kinematics, if actions change between joint space and end effector."""
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What the export leaves out because the robots have different joints."""
+        return () if self.joint_names else ("joint_positions",)
+
+    def kinematics(self, robot: str) -> Kinematics | None:
+        """Return a robot's kinematics, if actions change between joint space and end effector."""
         if self.actions.control.is_joint_space == self.recorded.control.is_joint_space:
             return None
-        return ArmKinematics(ModelLibrary().robot(self.robot))
+        if robot not in self._kinematics:
+            self._kinematics[robot] = ArmKinematics(ModelLibrary().robot(robot))
+        return self._kinematics[robot]
+
+    @cached_property
+    def _kinematics(self) -> dict[str, Kinematics]:
+        return {}
 
     @cached_property
     def _images(self) -> dict[str, ImageInput]:
@@ -162,14 +178,15 @@ class Content:
                 vectors=self.names, signals={EXECUTED: action},
             ),
             fps=self.convention.rate_hz,
-            robot=self.robot,
+            robot=BETWEEN_ROBOTS.join(self.robots),
             joint_names=self.joint_names,
             semantics=said,
             skills=skills,
             parts=self.parts,
             text=(
-                f"{len(sources)} simulated episodes recorded with RoboXim; robot: {self.robot}; skills: "
+                f"{len(sources)} simulated episodes recorded with RoboXim; robot: {', '.join(self.robots)}; skills: "
                 f"{', '.join(skills)}; {self.convention.rate_hz:g} Hz; actions: {meaning}{gripper}."
+                + (f" Left out, since the robots' joints differ: {', '.join(self.left_out)}." if self.left_out else "")
             ),
         )  # fmt: skip
 
@@ -197,11 +214,16 @@ def content_of(sources: Sequence[Source], selection: Selection) -> Content:
 
 
 def _by_named_convention(sources: Sequence[Source], named: Convention) -> Content:
-    robot, recorded, joints = one_robot(sources), one_semantics(sources), joint_names_of(sources[0])
+    robots, recorded = firsts_of_robots(sources), one_semantics(sources)
+    joints = joint_names_of(robots.values())
+    read = [part.field for state in named.states for part in state.parts]
+    in_joints = StateField.JOINT_POSITIONS in read or StateField.JOINT_VELOCITIES in read
+    require_common_space(robots, joints, {"actions": named.action.control.is_joint_space, "state": in_joints})
     convention = replace(named, rate_hz=named.rate_hz or recorded.rate_hz)
     if named.action.control.is_joint_space and named.action.joints != len(joints):
         raise InvalidRequestError(
-            f"convention '{named.name}' commands {named.action.joints} joints, robot '{robot}' has {len(joints)}"
+            f"convention '{named.name}' commands {named.action.joints} joints, robot '{next(iter(robots))}' has "
+            f"{len(joints)}"
         )
     keys = {image.camera: _last(image.key) for image in named.images}
     if len(keys) < len(named.images):
@@ -215,14 +237,15 @@ def _by_named_convention(sources: Sequence[Source], named: Convention) -> Conten
         vectors["state"] = _joined(makers) if makers else _by_fields(STATE_FIELDS)
     return Content(
         convention=convention, named=True, recorded=recorded, actions=convention.semantics,
-        every=_ticks_per_step(recorded.rate_hz, convention.rate_hz), robot=robot, joint_names=joints, keys=keys,
-        sizes={image.camera: ImageSize(height=image.height, width=image.width) for image in named.images},
+        every=_ticks_per_step(recorded.rate_hz, convention.rate_hz), robots=tuple(robots), joint_names=joints,
+        keys=keys, sizes={image.camera: ImageSize(height=image.height, width=image.width) for image in named.images},
         names=names, vectors=vectors, parts=_named_parts(named, names),
     )  # fmt: skip
 
 
 def _by_options(sources: Sequence[Source], selection: Selection) -> Content:
-    robot, recorded, joints = one_robot(sources), one_semantics(sources), joint_names_of(sources[0])
+    robots, recorded = firsts_of_robots(sources), one_semantics(sources)
+    joints = joint_names_of(robots.values())
     every = _ticks_per_step(recorded.rate_hz, selection.rate_hz or recorded.rate_hz)
     slower = replace(
         recorded,
@@ -235,10 +258,15 @@ def _by_options(sources: Sequence[Source], selection: Selection) -> Content:
     recorded_sizes = camera_sizes(sources, tuple(keys), resized=bool(selection.image_width))
     one = ImageSize(height=selection.image_height, width=selection.image_width)
     sizes = dict.fromkeys(keys, one) if selection.image_width else recorded_sizes
-    fields = {"state": _fields(selection.state), "joint_positions": (ProprioField.JOINT_POSITIONS,)}
+    fields = {"state": _fields(selection.state)}
+    in_joints = bool({ProprioField.JOINT_POSITIONS, ProprioField.JOINT_VELOCITIES}.intersection(fields["state"]))
+    require_common_space(robots, joints, {"actions": actions.control.is_joint_space, "state": in_joints})
+    if joints:
+        fields["joint_positions"] = (ProprioField.JOINT_POSITIONS,)
     return Content(
         convention=_made_convention(keys, sizes, recorded_sizes, fields, actions, len(joints)), named=False,
-        recorded=recorded, actions=actions, every=every, robot=robot, joint_names=joints, keys=keys, sizes=sizes,
+        recorded=recorded, actions=actions, every=every, robots=tuple(robots), joint_names=joints, keys=keys,
+        sizes=sizes,
         names={name: component_names(parts, joints) for name, parts in fields.items()},
         vectors={name: _by_fields(parts) for name, parts in fields.items()},
     )  # fmt: skip

@@ -114,7 +114,7 @@ def exported_episode(source: Source, content: Content) -> Episode:
         semantics=content.semantics,
         cameras=content.sizes,
         success=_solved(source),
-        robot=content.robot,
+        robot=source.info.scene.robot.model,
         joint_names=content.joint_names,
         fps=description.fps,
         vectors=content.names,
@@ -180,7 +180,8 @@ def _converted(source: Source, content: Content) -> tuple[Floats, Floats]:
         for name in ("action_label", "action_executed")
     )
     base = source.info.scene.robot.pose
-    track = [ActionContext.of(observed.state, base, content.kinematics) for observed, _ in pairs]
+    kinematics = content.kinematics(source.info.scene.robot.model)
+    track = [ActionContext.of(observed.state, base, kinematics) for observed, _ in pairs]
     after = [replace(c, joints_after=f.state.robot.joint_commands) for c, (_, f) in zip(track, pairs, strict=True)]
     same = (labels == executed).all(axis=1)  # elsewhere noise replaced the label, and its joints are not known
     known = [found if kept else context for found, context, kept in zip(after, track, same, strict=True)]

@@ -1,9 +1,8 @@
-"""Whether bags fit together in one dataset: one robot, one meaning of actions, the same cameras."""
+"""Whether bags fit together in one dataset: robots, one meaning of actions, the same cameras."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
@@ -12,22 +11,12 @@ from roboxim_recorder.bag import BagReader
 from roboxim_recorder.export.selection import Source
 
 
-def one_robot(sources: Sequence[Source]) -> str:
-    """Return the robot model of all bags.
-
-    Raises:
-        RecorderError: ``EXPORT_REFUSED`` if they have several.
-    """
-    bags: dict[str, list[Path]] = {}
+def firsts_of_robots(sources: Sequence[Source]) -> dict[str, Source]:
+    """Return robot model to its first bag, by the models' names."""
+    found: dict[str, Source] = {}
     for source in sources:
-        bags.setdefault(source.info.scene.robot.model, []).append(source.path)
-    if len(bags) > 1:
-        counts = ", ".join(f"{len(paths)} of {robot} (e.g. {paths[0].name})" for robot, paths in sorted(bags.items()))
-        raise RecorderError(
-            f"the bags are of several robots: {counts}; export each apart (--where robot=...)",
-            ErrorCode.EXPORT_REFUSED,
-        )
-    return next(iter(bags))
+        found.setdefault(source.info.scene.robot.model, source)
+    return dict(sorted(found.items()))
 
 
 def one_semantics(sources: Sequence[Source]) -> ActionSemantics:
@@ -75,7 +64,28 @@ def camera_sizes(sources: Sequence[Source], cameras: Sequence[str], *, resized: 
     return sizes
 
 
-def joint_names_of(source: Source) -> tuple[str, ...]:
-    """Return the arm joints of a bag's robot, in the order of their positions."""
-    first = next(iter(BagReader(source.path).ticks(cameras=[])))
-    return first.state.robot.joint_names
+def joint_names_of(sources: Iterable[Source]) -> tuple[str, ...]:
+    """Return the arm joints of the bags' robots, in the order of their positions; empty if they are not the same."""
+    found = {next(iter(BagReader(source.path).ticks(cameras=[]))).state.robot.joint_names for source in sources}
+    return found.pop() if len(found) == 1 else ()
+
+
+def require_common_space(robots: Mapping[str, Source], joints: Sequence[str], what: Mapping[str, bool]) -> None:
+    """Refuse numbers of joints in a dataset of robots whose joints differ.
+
+    Args:
+        robots: Robot model to a bag of it.
+        joints: The joints that all of them have.
+        what: Part of the dataset to whether it is of joints.
+
+    Raises:
+        RecorderError: ``EXPORT_REFUSED`` naming the robots and the part.
+    """
+    wrong = [part for part, of_joints in what.items() if of_joints]
+    if len(robots) > 1 and not joints and wrong:
+        bags = ", ".join(f"{robot} (e.g. {source.path.name})" for robot, source in robots.items())
+        raise RecorderError(
+            f"the bags are of robots with different joints: {bags}, so their {' and '.join(wrong)} cannot be of "
+            "joints; export end-effector motions and states, or each robot apart (--where robot=...)",
+            ErrorCode.EXPORT_REFUSED,
+        )

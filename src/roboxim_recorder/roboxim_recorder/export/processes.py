@@ -33,14 +33,18 @@ def available_cores() -> int:
 
 
 def add_in_processes(
-    writer: EncodingWriter, left: Sequence[tuple[str, Source]], first: Source, config: Selection, workers: int
+    writer: EncodingWriter,
+    left: Sequence[tuple[str, Source]],
+    firsts: Sequence[Source],
+    config: Selection,
+    workers: int,
 ) -> Iterator[None]:
     """Add episodes in their order; yield after each.
 
     Args:
         writer: Receives the encoded episodes.
         left: Split and bag of each.
-        first: The first bag of the export, which says what its steps consist of, as all its bags agree.
+        firsts: The first bag of each robot, the export's first bag before all: they say what its steps consist of.
         config: The export's configuration.
         workers: Number of processes.
 
@@ -48,7 +52,7 @@ def add_in_processes(
         RecorderError: As reading and writing raise it; ``UNAVAILABLE`` when a process has died.
     """
     spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, spawn, _start, (first, config, writer.encoder))
+    pool = ProcessPoolExecutor(workers, spawn, _start, (firsts, config, writer.encoder))
     waiting: deque[tuple[str, Future[bytes]]] = deque()
     try:
         for split, source in left:
@@ -79,12 +83,12 @@ _content: Content
 _encoder: Encoder
 
 
-def _start(first: Source, config: Selection, encoder: Encoder) -> None:
+def _start(firsts: Sequence[Source], config: Selection, encoder: Encoder) -> None:
     """Prepare a process: Ctrl-C is its parent's to handle, and it ends when its parent does."""
     global _content, _encoder
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _content, _encoder = content_of((first,), config), encoder
+    _content, _encoder = content_of(firsts, config), encoder
 
 
 def _end_with_parent() -> None:

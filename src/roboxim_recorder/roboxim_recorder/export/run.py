@@ -22,6 +22,7 @@ from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.export.content import Content, content_of
 from roboxim_recorder.export.convention_file import CONVENTION_FILE, convention_text
 from roboxim_recorder.export.episodes import exported_episode
+from roboxim_recorder.export.fit import firsts_of_robots
 from roboxim_recorder.export.processes import add_in_processes, available_cores
 from roboxim_recorder.export.registry import EXPORTERS, Exporter
 from roboxim_recorder.export.selection import Chosen, Selection, Source, choose
@@ -59,6 +60,10 @@ class ExportReport:
     """Bags that no result of the run names; they are not exported."""
     cells: dict[str, dict[str, int]] = field(default_factory=dict)
     """Split to cell to number of episodes; a cell is that of the task's mix, else the skill."""
+    robots: tuple[str, ...] = ()
+    """Robots of the episodes."""
+    columns_left_out: tuple[str, ...] = ()
+    """Vectors that the dataset does not have because its robots have different joints."""
 
 
 def export_bags(
@@ -123,6 +128,7 @@ def export_bags(
                 "runs": [path.parent.name if path.name == "episodes" else path.name for path in paths],
                 "left_out": chosen.left_out,
                 "cells": chosen.cells,
+                **({"robots": list(content.robots)} if len(content.robots) > 1 else {}),
             }
             texts = {
                 EXPORT_FILE: json.dumps(facts, indent=2, sort_keys=True) + "\n",
@@ -157,12 +163,18 @@ def _write_episodes(
     if not workers:
         workers = available_cores() if len(left) >= MANY_EPISODES else 1
     if workers > 1 and isinstance(writer, EncodingWriter):
-        added = add_in_processes(writer, left, chosen.sources[0], config, workers)
+        added = add_in_processes(writer, left, _firsts(chosen), config, workers)
     else:
         added = _add(writer, left, content)
     for done, _ in enumerate(added, start=resumed + 1):
         progress(done, total)
     return resumed
+
+
+def _firsts(chosen: Chosen) -> Sequence[Source]:
+    """Return the export's first bag, and the first one of each other robot."""
+    first = chosen.sources[0]
+    return first, *(source for source in firsts_of_robots(chosen.sources).values() if source.path != first.path)
 
 
 def _add(writer: DatasetWriter, left: Sequence[tuple[str, Source]], content: Content) -> Iterator[None]:
@@ -202,4 +214,6 @@ def _report(exporter: Exporter, path: Path, chosen: Chosen, content: Content, re
         missing=chosen.missing,
         unexpected=chosen.unexpected,
         cells=chosen.cells,
+        robots=content.robots,
+        columns_left_out=content.left_out,
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
+from roboxim_datasets.episode import BETWEEN_ROBOTS
 from roboxim_runs.episodes.run import EpisodesJob
 from roboxim_runs.evaluation.results import PolicyResult
 from roboxim_runs.policies.specs import ChosenPolicy
@@ -43,7 +44,7 @@ def require_cameras(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig])
 
 
 def require_robots(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) -> None:
-    """Refuse a policy that was trained with a robot other than the task's.
+    """Refuse a policy that was trained without a robot of the task.
 
     Raises:
         ConfigError: Naming the policy and both robots.
@@ -53,9 +54,10 @@ def require_robots(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) 
         return
     robots = {cell.base_scene().robot.model for cell in cells}
     for name, robot in trained.items():
-        if robots != {robot}:
+        if not robots <= set(robot.split(BETWEEN_ROBOTS)):
+            seen = "' and '".join(robot.split(BETWEEN_ROBOTS))
             raise ConfigError(
-                f"policy '{name}' was trained with the robot '{robot}', the task has {' and '.join(sorted(robots))}; "
+                f"policy '{name}' was trained with the robot '{seen}', the task has {' and '.join(sorted(robots))}; "
                 "choose a task with its robot, or allow this with --other-robot or other_robot=True"
             )
 

@@ -164,6 +164,11 @@ def _print_report(report: Any) -> None:
     for split, cells in report.cells.items():
         if several:
             click.echo(f"  {split}: " + ", ".join(f"{count} of {cell}" for cell, count in cells.items()))
+    if len(report.robots) > 1:
+        without = ", ".join(report.columns_left_out)
+        click.echo(
+            f"  robots: {', '.join(report.robots)}" + (f"; their joints differ: no {without}" if without else "")
+        )
     for reason, count in report.left_out.items():
         click.echo(f"  left out: {count} ({reason})")
     for bag in (*report.missing, *report.unexpected):
