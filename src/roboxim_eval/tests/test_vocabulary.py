@@ -36,6 +36,7 @@ def named(name):
         ("skill_object", {"task and target": NEW_PAIR}),
         ("camera_object", {"camera and target": NEW_COMBINATION}),
         ("camera_skill", {"task and camera": NEW_COMBINATION}),
+        ("embodiment", {"task and arm": NEW_COMBINATION}),
         ("camera_skill_objects", {"task and camera": NEW_COMBINATION}),
         (
             "triple",

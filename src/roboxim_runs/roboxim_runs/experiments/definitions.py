@@ -60,6 +60,7 @@ def definitions(design: Design) -> dict[str, str]:
     scenes = {name: load_config(named_config("scenes", name), SceneSpec) for name in {task.scene for task in tasks}}
     cameras = {name for task in tasks for name in _cameras(task)}
     models = {scene.robot.model for scene in scenes.values()}
+    models |= {task.robot for task in tasks if task.robot}
     models |= {entity.model for scene in scenes.values() for entity in scene.entities}
     models |= {model for task in tasks for model in _models(task)}
     files = {"tasks": list(map(str, design.config.factors[TASK])), "scenes": scenes, "cameras": cameras}

@@ -17,6 +17,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import design_of, scale_names, stages_of
 from roboxim_eval.experiments.reductions import deciding
 from roboxim_eval.testing import experiment_of
+from roboxim_runs.experiments.definitions import definitions
 from roboxim_runs.experiments.files import (
     benchmark_experiments,
     checked_design,
@@ -125,6 +126,17 @@ def test_the_experiments_of_the_thesis_have_its_counts(name, datasets, demonstra
     assert {key: sum(counts.values()) for key, counts in design.datasets.items()} == datasets
     assert (design.episodes, len(design.trainings)) == (demonstrations, trainings)
     assert design.compared_scenes == scenes
+
+
+def test_the_arms_of_embodiment_lack_one_skill_each_and_its_definitions_name_all_of_them():
+    design = design_of(load_experiment("embodiment"))
+    held_out = [(cell.levels["arm"], cell.levels["task"]) for cell in design.cells if cell.unseen]
+    arms = {"panda", "fr3", "xarm7", "iiwa14", "gen3"}
+    assert {key: sum(counts.values()) for key, counts in design.datasets.items()} == {"leave_out": 450, "baseline": 450}
+    assert (len(held_out), {arm for arm, _ in held_out}) == (5, arms)
+    seen = [(cell.levels["arm"], cell.levels["task"]) for cell in design.cells if not cell.unseen]
+    assert {arm for arm, _ in seen} == arms
+    assert {f"model {arm}" for arm in arms} <= definitions(design).keys()
 
 
 def test_the_axes_of_pick_cube_differ_in_training_and_bc_is_refused_there(tmp_path):
