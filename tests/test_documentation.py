@@ -110,6 +110,28 @@ def test_every_page_is_in_the_site_s_navigation() -> None:
     assert {str(file.relative_to(DOCS)) for file in FILES if file.is_relative_to(DOCS)} | made == named
 
 
+@pytest.mark.parametrize(
+    ("task", "page"),
+    [
+        ("install", "how-to/installation.md"),
+        ("evaluate a policy of my own", "how-to/own_policies.md"),
+        ("evaluate a model behind a server", "how-to/policies.md"),
+        ("see why an episode failed", "how-to/reports.md"),
+        ("use it in Gymnasium", "how-to/programs.md"),
+        ("configure tasks", "how-to/tasks.md"),
+        ("add a skill", "how-to/own_skill.md"),
+        ("add a skill, an object", "how-to/objects.md"),
+        ("make a dataset", "how-to/data.md"),
+        ("run an experiment", "how-to/experiments.md"),
+        ("edit scenes and drive by hand", "how-to/studio.md"),
+        ("use many machines", "how-to/scale.md"),
+    ],
+)
+def test_the_front_page_leads_to_a_task(task: str, page: str) -> None:
+    rows = [row for row in (ROOT / "README.md").read_text().splitlines() if row.startswith("| ") and task in row]
+    assert any(f"(docs/{page})" in row for row in rows)
+
+
 @pytest.mark.parametrize("block", PYTHON, ids=str)
 def test_python_is_valid_and_its_imports_exist(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(SERVERS)
