@@ -128,3 +128,9 @@ def test_the_command_imports_what_it_can_and_tells_of_the_rest(tmp_path):
     again = CliRunner().invoke(group, arguments[:3] + arguments[4:])
     assert again.exit_code == 0
     assert "is there already" in again.output
+
+
+def test_an_object_that_hides_a_built_in_one_says_so(tmp_path):
+    file = exported(trimesh.creation.box((0.05, 0.05, 0.05)), tmp_path / "cube.stl")
+    made = import_mesh(file, tmp_path / "objects", ImportOptions(grasps=1))
+    assert made.report[0].startswith("name: it hides another object of the name 'cube'")

@@ -142,6 +142,8 @@ class _Import:
         self._colour = ""
 
     def run(self) -> Imported:
+        if self.id in _library().object_ids and not (self._base.parent / f"{self.id}.yaml").is_file():
+            self.report.append(f"name: it hides another object of the name '{self.id}'; rename the file to keep both")
         self._step("reading and repairing")
         scene, solid = self._solid()
         self._step("cutting into convex parts")
