@@ -57,7 +57,11 @@ def test_a_planted_command_is_refused_and_does_not_run(tmp_path):
     assert planted.exists()
 
 
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", pickle.dumps({"a": 1}), os.urandom(64)])
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"PK\x03\x04", pickle.dumps({"a": 1}), bytes(range(200, 256))],
+    ids=["empty", "zip", "no class", "no pickle"],
+)
 def test_a_file_of_another_kind_is_named(tmp_path, content):
     file = tmp_path / "weights.pth"
     file.write_bytes(content)
