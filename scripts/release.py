@@ -50,7 +50,7 @@ LIBRARIES_OF_ROS = ("libfast*", "librcpputils*", "librcutils*", "librmw*", "libr
 """Libraries that the wheels of ROS hold; the interfaces' wheel must not copy them."""
 BUILD = ("-m", "build", "--no-isolation", "--skip-dependency-check")
 PYTHONS = ("3.11", "3.12", "3.13")
-EXTRAS = ("learn", "lerobot", "ray", "video", "vla-eval")
+EXTRAS = ("assets", "learn", "lerobot", "pretrained", "ray", "studio", "video", "vla-eval")
 """Extras of `constraints.txt`: all but `store`, whose botocore wants another python-dateutil than matplotlib."""
 EXAMPLE = """
 import roboxim

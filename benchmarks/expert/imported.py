@@ -81,7 +81,7 @@ def row(mesh: Path, out: Path, resets: int) -> dict[str, Any]:
     grasps = len(model.get("grasps", ()))
     found |= {"imported": 1, "grasps": grasps, "resets": resets if grasps else 0, "why": ""}
     if not grasps:
-        return found | {"why": made.report[-1][:120]}
+        return found | {"why": next(line for line in made.report if line.startswith("grasps:"))[:120]}
     reasons = picks(made.file.stem, resets)
     failures = [reason for reason in reasons if reason]
     return found | {"picked_up": resets - len(failures), "why": "; ".join(sorted(set(failures)))[:120]}

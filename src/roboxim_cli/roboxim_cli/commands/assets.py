@@ -179,7 +179,8 @@ def new(mesh: Path, unit: str, up: str) -> None:
     """
     import sys
 
-    from roboxim_runs.assets.check import UPS, guessed_unit, size_text, starter
+    from roboxim_runs.assets.check import guessed_unit, size_text, starter
+    from roboxim_runs.assets.solids import UPS
 
     guess = unit or guessed_unit(mesh)
     if sys.stdin.isatty() and not (unit and up):

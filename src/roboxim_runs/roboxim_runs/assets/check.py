@@ -21,6 +21,7 @@ from roboxim_core.models.hulls import hull_of, load_mesh
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose, distance
 from roboxim_core.specs import EntitySpec, TableSpec
+from roboxim_runs.assets.solids import UPS
 from roboxim_sim.bodies import ObjectBody, build_table, configure
 from roboxim_sim.bullet import BulletClient
 from roboxim_sim.rendering import textures  # noqa: F401  (registers the room's, which an object may use too)
@@ -88,8 +89,6 @@ def _motion(client: BulletClient, model: ObjectModel, start: Pose, yaw_rad: floa
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 """Unit of a mesh to its length [m]."""
-UPS = ("z", "y")
-"""Axis of a mesh that points up; RoboXim's objects have z."""
 
 
 def guessed_unit(mesh: Path) -> str:

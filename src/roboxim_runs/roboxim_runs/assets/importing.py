@@ -121,7 +121,8 @@ def import_mesh(
     with tempfile.TemporaryDirectory(dir=out, prefix=f".{object_id}-") as folder:
         work = _Import(file, object_id, Path(folder), options, on_step)
         made = work.run()
-        for path in sorted(made.file.parent.iterdir()):
+        # the YAML file last, since it names the others
+        for path in sorted(made.file.parent.iterdir(), key=lambda path: path == made.file):
             target = out / path.name
             if target.is_dir():
                 shutil.rmtree(target)

@@ -10,14 +10,18 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.hulls import load_mesh
 from roboxim_core.poses import Array
 
 NEARLY_CONVEX = 0.95
 """Share of its convex hull's volume from which a solid is one convex part."""
-CACHED_PARTS = 16
+MOST_PARTS = 16
 """Most convex parts of an object; PyBullet keeps that many shapes of a link."""
+
+
+UPS = ("z", "y")
+"""Axis of a mesh that points up; RoboXim's objects have z."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +40,7 @@ class Effort:
 
 EFFORTS = {
     "fast": Effort(concavity=0.08, parts=8, search=(30, 10, 2), resolution=800),
-    "thorough": Effort(concavity=0.04, parts=CACHED_PARTS, search=(150, 20, 3), resolution=2000),
+    "thorough": Effort(concavity=0.04, parts=MOST_PARTS, search=(150, 20, 3), resolution=2000),
 }
 """Name to effort; fast takes seconds a mesh."""
 
@@ -50,8 +54,10 @@ def placed(file: Path, scale: float, up: str) -> tuple[Any, trimesh.Trimesh]:
         up: Axis of the file that points up: ``z`` or ``y``.
 
     Raises:
-        ConfigError: When the mesh cannot be read.
+        ConfigError: When the mesh cannot be read, or the axis is another one.
     """
+    if up not in UPS:
+        raise ConfigError(f"unknown up-axis '{up}'; {one_of(UPS, up)}")
     load_mesh(file)  # checks it
     scene: Any = trimesh.load_scene(file, process=False)
     turn = np.eye(4)

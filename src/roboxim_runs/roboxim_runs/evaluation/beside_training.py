@@ -1,4 +1,4 @@
-"""Evaluations inside the user's own training loop: `Evaluator` keeps workers warm and answers in seconds.
+"""Evaluations inside the user's own training loop: `Evaluator` keeps workers warm between calls.
 
 A worker is a process with simulator, renderer and planner, without nodes. The policy stays in the user's process: a
 worker sends what it observes and waits for the actions, so a model on a GPU needs no copy and no checkpoint. The
