@@ -30,7 +30,7 @@ def client_module():
 
 @pytest.fixture(scope="module")
 def server():
-    with EnvironmentServer(port=0, most=2) as served:
+    with EnvironmentServer(port=0, max_environments=2) as served:
         yield served
 
 

@@ -45,9 +45,9 @@ class Child:
         A node that is visible in the graph may still refuse its parameters.
         """
         if self.pipe >= 0 and select.select([self.pipe], [], [], 0)[0]:
-            said = os.read(self.pipe, 1)
+            byte = os.read(self.pipe, 1)
             os.close(self.pipe)
-            self.pipe = -1 if said else -2
+            self.pipe = -1 if byte else -2
         return self.pipe == -1
 
     def restart(self) -> None:

@@ -247,17 +247,17 @@ def _explain(error: BaseException, data: Any, path: str, line: str, cls: Any) ->
     return [f"{_where(*complaint_at(text, data, path.rstrip('.'), line))}{text}"]
 
 
-def complaint_at(said: str, data: Any, path: str, line: str) -> tuple[str, str]:
+def complaint_at(complaint: str, data: Any, path: str, line: str) -> tuple[str, str]:
     """Return the path and the line of the key that a class's error message is about.
 
     Args:
-        said: The message. It begins with the key, e.g. ``areas.left must be ...``, or names no other key of the data.
+        complaint: The message. It begins with the key, e.g. ``areas.left must be ...``, or names no other key.
         data: The data that the class was built from.
         path: Path of the data.
         line: Line of the data, returned if no line of the key is known.
     """
-    mentioned = [key for key in data if str(key) in re.findall(r"\w+", said)] if isinstance(data, Mapping) else []
-    first = re.match(r"[A-Za-z_][\w.]*", said)
+    mentioned = [key for key in data if str(key) in re.findall(r"\w+", complaint)] if isinstance(data, Mapping) else []
+    first = re.match(r"[A-Za-z_][\w.]*", complaint)
     keys: list[Any] = first[0].rstrip(".").split(".") if first else []
     if len(mentioned) == 1 and (not keys or keys[0] not in data):
         keys = mentioned

@@ -53,7 +53,7 @@ def _checked(answer: Any, description: PolicyDescription) -> ActionChunk:
     chunk = answer if isinstance(answer, ActionChunk) else ActionChunk(actions=answer)
     semantics = description.semantics
     size = None if semantics.control.is_joint_space else semantics.dimension()
-    actions = check_chunk(chunk.actions, size=size, most=description.horizon)
+    actions = check_chunk(chunk.actions, size=size, max_rows=description.horizon)
     done: Any = chunk.done
     if not isinstance(done, bool | np.bool_):
         raise InvalidRequestError(f"done must be a bool, got {printable(done, 100, form=repr)}")

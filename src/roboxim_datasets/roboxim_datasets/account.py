@@ -100,11 +100,11 @@ class Account:
         """Everything that the files hold, each part with what became of it."""
         found = []
         for (kind, name), held in self._held.items():
-            said = dict(self._said.get((kind, name), {}))
-            if (left := held - sum(said.values())) > 0:
-                said["left out", UNKNOWN] = said.get(("left out", UNKNOWN), 0) + left
+            named = dict(self._said.get((kind, name), {}))
+            if (left := held - sum(named.values())) > 0:
+                named["left out", UNKNOWN] = named.get(("left out", UNKNOWN), 0) + left
             found += [
-                Part(kind=kind, name=name, count=count, fate=fate, why=why) for (fate, why), count in said.items()
+                Part(kind=kind, name=name, count=count, fate=fate, why=why) for (fate, why), count in named.items()
             ]
         return found
 

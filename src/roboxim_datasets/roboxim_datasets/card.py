@@ -169,9 +169,9 @@ def _simulated(facts: Mapping[str, Any]) -> bool:
     return "runs" in facts or any(_simulated(source) for source in facts.get("sources", []))
 
 
-def _listed(counts: Mapping[str, int], most: int = LISTED) -> str:
-    shown = [f"{name} x{number}" for name, number in list(counts.items())[:most]]
-    return ", ".join(shown) + (", ..." if len(counts) > most else "")
+def _listed(counts: Mapping[str, int], max_items: int = LISTED) -> str:
+    shown = [f"{name} x{number}" for name, number in list(counts.items())[:max_items]]
+    return ", ".join(shown) + (", ..." if len(counts) > max_items else "")
 
 
 def card(dataset: Dataset, counts: Counts) -> str:
@@ -246,8 +246,8 @@ def _actions(dataset: Dataset) -> str:
     text = "## Actions\n\nA step is an observation and the action that leads to the next one. Components: "
     text += f"{_names(about.features.action)}.\n"
     if about.semantics:
-        said = json.dumps(to_plain(about.semantics), indent=2)
-        text += f"\nTheir meaning (`roboxim_core.actions.ActionSemantics`):\n\n```json\n{said}\n```\n"
+        semantics = json.dumps(to_plain(about.semantics), indent=2)
+        text += f"\nTheir meaning (`roboxim_core.actions.ActionSemantics`):\n\n```json\n{semantics}\n```\n"
         text += (
             f"\nThe gripper is absolute: {about.semantics.gripper.open_value:g} is open, "
             f"{about.semantics.gripper.closed_value:g} closed. Do not normalise it.\n"
@@ -327,8 +327,8 @@ def _how(dataset: Dataset) -> str:
     facts = {key: value for key, value in dataset.facts.items() if key not in ("cells", "not_read")}
     if not facts:
         return ""
-    said = json.dumps(facts, indent=2, sort_keys=True)
-    return f"## How it was made\n\nBy RoboXim: {_maker(dataset)}. `{EXPORT_FILE}`:\n\n```json\n{said}\n```\n"
+    facts_text = json.dumps(facts, indent=2, sort_keys=True)
+    return f"## How it was made\n\nBy RoboXim: {_maker(dataset)}. `{EXPORT_FILE}`:\n\n```json\n{facts_text}\n```\n"
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

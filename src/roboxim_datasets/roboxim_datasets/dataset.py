@@ -81,7 +81,7 @@ class Description:
         length: int,
         instruction: str,
         success: bool | None,
-        said: Mapping[str, Any],
+        metadata: Mapping[str, Any],
         read: Callable[[Wanted], Iterator[Step]],
         instructions: Sequence[str] = (),
         name: str = "",
@@ -92,30 +92,30 @@ class Description:
             length: Number of steps.
             instruction: Instruction.
             success: Whether the task was solved, as far as the format itself says it; None: it does not.
-            said: What RoboXim's export says of the episode (``episode_id``, ``success``, ``metadata``, and ``robot`` in
-                a dataset of several); empty: it is another's dataset.
+            metadata: What RoboXim's export says of the episode (``episode_id``, ``success``, ``metadata``, and
+                ``robot`` in a dataset of several); empty: it is another's dataset.
             read: Reads the steps.
             instructions: All instructions, if it has several.
             name: Id of an episode of which no export says anything.
         """
         features = self.features
-        solved = said.get("success", success)
+        solved = metadata.get("success", success)
         return Episode(
-            episode_id=str(said.get("episode_id", name)),
+            episode_id=str(metadata.get("episode_id", name)),
             length=length,
             instruction=instruction,
             instructions=tuple(instructions) if len(instructions) > 1 else (),
             semantics=self.semantics,
             cameras=features.cameras,
             success=None if solved is None else bool(solved),
-            robot=str(said.get("robot", self.robot)),
+            robot=str(metadata.get("robot", self.robot)),
             joint_names=self.joint_names,
             fps=self.fps,
             vectors=features.vectors,
             signals={name: names for name, names in features.signals.items() if name != EXECUTED},
             depth=features.depth,
             segmentation=features.segmentation,
-            metadata=dict(said.get("metadata", {})),
+            metadata=dict(metadata.get("metadata", {})),
             read=read,
         )
 

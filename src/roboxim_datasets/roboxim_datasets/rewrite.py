@@ -108,9 +108,11 @@ def options_like(dataset: Dataset) -> Any:
     """Return options that write a dataset like another one of the format: as its files show them, or as it says."""
     kind = FORMATS[dataset.format]().options
     facts = dataset.facts
-    said = {**facts.get("config", {}), **facts.get("options", {}), **dataset.options}
+    options = {**facts.get("config", {}), **facts.get("options", {}), **dataset.options}
     names = {item.name for item in fields(kind)}
-    return from_plain({key: said[key] for key in names & said.keys()}, kind, source=f"{dataset.path}/{EXPORT_FILE}")
+    return from_plain(
+        {key: options[key] for key in names & options.keys()}, kind, source=f"{dataset.path}/{EXPORT_FILE}"
+    )
 
 
 def write_dataset(
@@ -282,7 +284,7 @@ def files_beside(
     Raises:
         RecorderError: ``EXPORT_REFUSED`` when the sources have different conventions.
     """
-    said = {
+    listed_facts = {
         "format": format,
         "identity": identity,
         "how": how,
@@ -290,7 +292,7 @@ def files_beside(
         "sources": [{"format": source.format, "name": _name(source), **source.facts} for source in sources],
         **facts,
     }
-    files: dict[str, str | bytes] = {EXPORT_FILE: json.dumps(said, indent=2, sort_keys=True) + "\n"}
+    files: dict[str, str | bytes] = {EXPORT_FILE: json.dumps(listed_facts, indent=2, sort_keys=True) + "\n"}
     if convention := _common_convention(sources):
         files[CONVENTION_FILE] = convention
     return files
@@ -349,8 +351,8 @@ def _metadata_kinds(sources: Sequence[Dataset]) -> dict[str, type[MetaValue]]:
     """Return the metadata that the first episode of every source has, key to type."""
     found: dict[str, type[MetaValue]] | None = None
     for source in sources:
-        said = next(source.episodes()).metadata
-        kinds = {key: METADATA.get(key, type(value)) for key, value in said.items() if key not in OWN_FIELDS}
+        metadata = next(source.episodes()).metadata
+        kinds = {key: METADATA.get(key, type(value)) for key, value in metadata.items() if key not in OWN_FIELDS}
         found = kinds if found is None else {key: kind for key, kind in found.items() if kinds.get(key) == kind}
     return found or {}
 

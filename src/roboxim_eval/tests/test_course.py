@@ -75,7 +75,7 @@ def test_measures_are_shown_in_units_that_people_read(measure, value, text):
 
 
 def page_of(**changes):
-    film = film_strip([np.full((16, 32, 3), 10 * i, np.uint8) for i in range(20)], most=None, frame_ms=100.0)
+    film = film_strip([np.full((16, 32, 3), 10 * i, np.uint8) for i in range(20)], max_frames=None, frame_ms=100.0)
     lift = [0.0] * 10 + [0.02, 0.03] + [0.0] * 8
     fingers = [0.0] * 9 + [2.0] * 3 + [0.0] * 8
     action = Curve(name="<dx>", lines=(np.array([np.nan, *np.linspace(0, 1, 19)]),))

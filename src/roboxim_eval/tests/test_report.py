@@ -281,7 +281,7 @@ def test_films_pause_and_scrub_and_are_chosen_evenly():
     assert (first, last) == (pytest.approx(0, abs=4), pytest.approx(245, abs=4)), (
         "the first and the last frame are shown"
     )
-    whole = film_strip(frames * 3, most=None, frame_ms=100.0)
+    whole = film_strip(frames * 3, max_frames=None, frame_ms=100.0)
     assert (whole.frames, len(whole.sources)) == (150, 3), "all frames, in strips that WebP can hold"
     outcomes = [(str(i), i % 5 == 0) for i in range(50)]
     chosen = chosen_films(outcomes, 8)

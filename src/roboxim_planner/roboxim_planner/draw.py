@@ -126,8 +126,10 @@ def draw_profiles(query: Query, planner: Planner, plans: Sequence[Plan], path: P
         handles=[Line2D([], [], color=c, label=n) for c, n in zip(colors, robot.description.joint_names, strict=True)],
         loc="lower center", ncol=min(8, robot.dof), frameon=False, fontsize=9,
     )  # fmt: skip
-    said = ", ".join(f"{n} {100 * p:.1f} %" for n, p in zip(("velocity", "acceleration", "jerk"), peaks, strict=True))
-    figure.suptitle(f"{_title(query, plans)}\nhighest share of its limit at 1 kHz: {said}", fontsize=11, y=0.985)
+    peaks_text = ", ".join(
+        f"{n} {100 * p:.1f} %" for n, p in zip(("velocity", "acceleration", "jerk"), peaks, strict=True)
+    )
+    figure.suptitle(f"{_title(query, plans)}\nhighest share of its limit at 1 kHz: {peaks_text}", fontsize=11, y=0.985)
     figure.subplots_adjust(left=0.08, right=0.98, top=0.925, bottom=0.085, hspace=0.12)
     return _save(figure, path)
 

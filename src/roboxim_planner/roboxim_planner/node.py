@@ -291,17 +291,17 @@ class PlannerNode(RoboximNode):
                 error.args = (f"{error}{self._dump(planner, query, str(error), error.code, steps.count)}",)
             raise
         except Exception as error:
-            said = "".join(traceback.format_exception_only(error)).strip()
-            self.get_logger().error(f"{said}{self._dump(planner, query, said, ErrorCode.INTERNAL, steps.count)}")
+            message = "".join(traceback.format_exception_only(error)).strip()
+            self.get_logger().error(f"{message}{self._dump(planner, query, message, ErrorCode.INTERNAL, steps.count)}")
             raise
 
-    def _dump(self, planner: Planner, query: Query, said: str, code: ErrorCode, steps: int) -> str:
+    def _dump(self, planner: Planner, query: Query, message: str, code: ErrorCode, steps: int) -> str:
         """Write a dump of a failure and return the text that names it, empty if there is no dump."""
         if not self._config.dumps_kept:
             return ""
         dump = Dump(
             query=query,
-            outcome=Outcome(error_code=int(code), error_msg=said, steps=steps),
+            outcome=Outcome(error_code=int(code), error_msg=message, steps=steps),
             config=planner.config,
             robot_digest=self._library.digest(query.robot),
         )

@@ -140,8 +140,8 @@ class Planner:
         goal = np.clip(goal, self.robot.lower, self.robot.upper)
         _check_upright(options, [scene.robot_pose @ self.robot.fk(goal)])
         if not worlds.exact.is_free(goal):
-            said = "; ".join(str(contact) for contact in worlds.exact.contacts(goal))
-            raise PlannerError(f"goal in collision: {said}", ErrorCode.GOAL_IN_COLLISION)
+            contacts = "; ".join(str(contact) for contact in worlds.exact.contacts(goal))
+            raise PlannerError(f"goal in collision: {contacts}", ErrorCode.GOAL_IN_COLLISION)
         return self._plan(worlds, begin, (goal[None], [-1]), options, watch)
 
     def plan_cartesian(
@@ -328,9 +328,9 @@ class Planner:
         begin = np.clip(begin, self.robot.lower, self.robot.upper)
         worlds.check_upright(begin)
         if collisions and not worlds.exact.is_free(begin):
-            said = "; ".join(str(contact) for contact in worlds.exact.contacts(begin))
+            contacts = "; ".join(str(contact) for contact in worlds.exact.contacts(begin))
             raise PlannerError(
-                f"start in collision: {said}; allow the contact or attach the body",
+                f"start in collision: {contacts}; allow the contact or attach the body",
                 ErrorCode.START_IN_COLLISION,
             )
         return begin
@@ -364,9 +364,9 @@ class Planner:
 
     @staticmethod
     def _no_free_goal(world: CollisionWorld, solutions: Array) -> PlannerError:
-        said = "; ".join(str(contact) for contact in world.contacts(solutions[0])[:3])
+        contacts = "; ".join(str(contact) for contact in world.contacts(solutions[0])[:3])
         return PlannerError(
-            f"no collision-free goal among {len(solutions)} configurations; at the nearest {said}",
+            f"no collision-free goal among {len(solutions)} configurations; at the nearest {contacts}",
             ErrorCode.GOAL_IN_COLLISION,
         )
 
@@ -466,8 +466,8 @@ class Planner:
         if budget == 1 and not refused and options.planner in (*IMPROVERS, planners[0][0]):
             return base
         if options.planner not in IMPROVERS and options.planner != planners[0][0]:
-            most = max(iterations for _, iterations in planners)
-            planners = ((options.planner, most), *planners)
+            max_iterations = max(iterations for _, iterations in planners)
+            planners = ((options.planner, max_iterations), *planners)
         return replace(
             base,
             planners=tuple((name, budget * iterations) for name, iterations in planners),

@@ -304,8 +304,8 @@ class _Search:
         k, error = self._worst
         name = self._stages[k].name or str(k + 1)
         before = max((n for n in self._tried if n < k), default=None)
-        said = f"stage '{name}' ({k + 1} of {len(self._stages)}): {error}"
+        message = f"stage '{name}' ({k + 1} of {len(self._stages)}): {error}"
         if before is not None:
             chosen = self._stages[before].name or str(before + 1)
-            said += f"; {self._tried[before]} goal configuration(s) of stage '{chosen}' tried"
-        return PlannerError(said, ErrorCode(error.code))
+            message += f"; {self._tried[before]} goal configuration(s) of stage '{chosen}' tried"
+        return PlannerError(message, ErrorCode(error.code))

@@ -80,7 +80,7 @@ def answers_with_actions(name: str, item: Callable[..., Policy]) -> None:
         policy.reset(EpisodeStart(episode_id="check", instruction="", seed=1))
         answer = policy.act(window)
         actions = answer.actions if isinstance(answer, ActionChunk) else answer
-        chunks.append(check_chunk(actions, most=description.horizon))
+        chunks.append(check_chunk(actions, max_rows=description.horizon))
     assert chunks[0].tobytes() == chunks[1].tobytes(), "two episodes of one seed begin with different actions"
 
 

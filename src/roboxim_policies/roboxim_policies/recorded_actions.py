@@ -136,9 +136,9 @@ def _messages(reader: Any, connection: Any) -> Iterator[Any]:
 
 def _semantics(reader: Any, connection: Any) -> ActionSemantics:
     for _, _, raw in reader.messages(connections=[connection]) if connection else ():
-        said = reader.deserialize(raw, connection.msgtype).semantics
+        semantics = reader.deserialize(raw, connection.msgtype).semantics
         try:
-            return from_msg(said, ActionSemantics)
+            return from_msg(semantics, ActionSemantics)
         except (AttributeError, InvalidRequestError) as error:
             raise ConfigError(
                 f"the meaning of the bag's actions cannot be read ({error}); another version of RoboXim recorded it"

@@ -133,7 +133,7 @@ class DrivenDataset(Dataset):
                 )  # fmt: skip
 
         return self.description.episode(
-            length=len(stretch.states) - 1, instruction=self._instruction, success=None, said={}, read=steps,
+            length=len(stretch.states) - 1, instruction=self._instruction, success=None, metadata={}, read=steps,
             name=f"{self.path.stem}-{index}",
         )  # fmt: skip
 

@@ -68,8 +68,8 @@ def _field_check(name: str, kind: str) -> Check | None:
     inner = _element_check(name, element)
     if sequence:
         composed = inner is not None or "/" in element
-        most = limits.FIELD_ITEMS.get(name, limits.ITEMS) if composed else limits.NUMBERS
-        return _sequence_check(most, inner, composed=composed)
+        max_items = limits.FIELD_ITEMS.get(name, limits.ITEMS) if composed else limits.NUMBERS
+        return _sequence_check(max_items, inner, composed=composed)
     return _sequence_check(None, inner, composed=False) if element != kind and inner else inner
 
 
@@ -82,10 +82,10 @@ def _element_check(name: str, kind: str) -> Check | None:
     return None
 
 
-def _string_check(most: int) -> Check:
+def _string_check(max_characters: int) -> Check:
     def check(value: Any, path: str, count: _Count) -> None:
-        if len(value) > most:
-            raise InvalidRequestError(f"{path} may have {most} characters, got {len(value)}")
+        if len(value) > max_characters:
+            raise InvalidRequestError(f"{path} may have {max_characters} characters, got {len(value)}")
         count.characters += len(value)
         if count.characters > limits.MESSAGE_CHARACTERS:
             raise InvalidRequestError(
@@ -95,10 +95,10 @@ def _string_check(most: int) -> Check:
     return check
 
 
-def _sequence_check(most: int | None, inner: Check | None, *, composed: bool) -> Check:
+def _sequence_check(max_items: int | None, inner: Check | None, *, composed: bool) -> Check:
     def check(value: Any, path: str, count: _Count) -> None:
-        if most is not None and len(value) > most:
-            raise InvalidRequestError(f"{path} may have {most} elements, got {len(value)}")
+        if max_items is not None and len(value) > max_items:
+            raise InvalidRequestError(f"{path} may have {max_items} elements, got {len(value)}")
         if composed:
             count.items += len(value)
             if count.items > limits.MESSAGE_ITEMS:

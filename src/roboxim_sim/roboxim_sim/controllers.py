@@ -139,8 +139,8 @@ class ArmController:
         await states.aclose()
         if strayed and not goal.is_cancel_requested:
             if ended:
-                said = f"{strayed}, {asked.goal_time_s:g} s after the trajectory's end; something is in the way"
-                raise GoalError(_Result.GOAL_TOLERANCE_VIOLATED, said)
+                message = f"{strayed}, {asked.goal_time_s:g} s after the trajectory's end; something is in the way"
+                raise GoalError(_Result.GOAL_TOLERANCE_VIOLATED, message)
             raise GoalError(_Result.PATH_TOLERANCE_VIOLATED, f"{strayed}, {time_s:.3f} s after the start")
 
     def _checked(self, request: Any) -> _Goal:

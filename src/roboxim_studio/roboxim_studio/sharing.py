@@ -48,8 +48,8 @@ def episode_html(film: Film, library: ModelLibrary) -> str:
         for state, step in zip(film.states, film.steps, strict=True):
             view.show(state, film.pictures.at(state.seq))
             verdict = step.verdict
-            said = "solved" if verdict.success else f"failed: {verdict.reason}" if verdict.failed else verdict.reason
-            label.text = f"tick {state.seq}: {said}"
+            outcome = "solved" if verdict.success else f"failed: {verdict.reason}" if verdict.failed else verdict.reason
+            label.text = f"tick {state.seq}: {outcome}"
             recording.insert_sleep(film.info.scene.tick_ns / 1e9)
         page = recording.as_html()
     finally:

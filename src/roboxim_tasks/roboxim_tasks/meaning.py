@@ -109,8 +109,8 @@ def _match(template: str, text: str, skill: Skill, library: ModelLibrary) -> dic
     for literal, name, _, _ in Formatter().parse(template):
         pattern += re.escape(literal)
         if name:
-            said = f"(?P<{name}>{thing if name in skill.roles else '.+?'})"
-            pattern += f"(?P={name})" if f"(?P<{name}>" in pattern else said
+            expression = f"(?P<{name}>{thing if name in skill.roles else '.+?'})"
+            pattern += f"(?P={name})" if f"(?P<{name}>" in pattern else expression
     found = re.fullmatch(pattern, text.strip().rstrip("."), re.IGNORECASE)
     return found.groupdict() if found else None
 
@@ -145,15 +145,15 @@ def _objects(
         if name not in skill.roles:
             parameters |= _parameter(skill, name, word)
     for role in skill.roles:
-        said = words.get(role)
-        drawer = DRAWER.fullmatch(said) if said else None
+        phrase = words.get(role)
+        drawer = DRAWER.fullmatch(phrase) if phrase else None
         if drawer and "drawer" in {field.name for field in fields(skill.Parameters)}:
-            parameters["drawer"], said = drawer["drawer"].lower(), drawer["whole"]
+            parameters["drawer"], phrase = drawer["drawer"].lower(), drawer["whole"]
         things = [_thing(entity.name, scene, library) for entity in scene.entities]
         suited = [t for t in things if skill.roles[role].suits(library.object(t.model, t.modifiers))]
-        fitting[role] = [t for t in suited if said is None or said.lower() in _descriptions(t, library)]
-        if said is not None and not fitting[role]:
-            missing.append(said)
+        fitting[role] = [t for t in suited if phrase is None or phrase.lower() in _descriptions(t, library)]
+        if phrase is not None and not fitting[role]:
+            missing.append(phrase)
     combined = (dict(zip(fitting, chosen, strict=True)) for chosen in itertools.product(*fitting.values()))
     return missing, parameters, (c for c in combined if len({t.entity for t in c.values()}) == len(c))
 

@@ -115,8 +115,8 @@ class Wording:
     @staticmethod
     def of_task(task: TaskSpec, roles: Mapping[str, Role], library: ModelLibrary) -> Wording:
         """Return the wording of a task's instruction, from a template or written by the skill."""
-        said = task.instruction.lower()
-        named = {r for r, thing in task.objects.items() if r in roles and description(thing).lower() in said}
+        instruction = task.instruction.lower()
+        named = {r for r, thing in task.objects.items() if r in roles and description(thing).lower() in instruction}
         return Wording(library=library, roles=roles, named=frozenset(named))
 
     def could_be_meant(self, thing: PhysicalObject, own: str, role: str, meant: PhysicalObject) -> bool:

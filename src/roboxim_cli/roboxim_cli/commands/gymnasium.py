@@ -16,7 +16,7 @@ def command() -> None:
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen at.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True, help="Port; 0: any.")
 @click.option("--most", type=click.IntRange(1, 64), default=8, show_default=True, help="Environments at the same time.")
-def serve(host: str, port: int, most: int) -> None:
+def serve(host: str, port: int, max_environments: int) -> None:
     r"""Serve environments over a WebSocket; each connection is one environment.
 
     \b
@@ -34,7 +34,9 @@ def serve(host: str, port: int, most: int) -> None:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    with EnvironmentServer(host=host, port=port, most=most, log=lambda text: click.echo(text, err=True)) as server:
+    with EnvironmentServer(
+        host=host, port=port, max_environments=max_environments, log=lambda text: click.echo(text, err=True)
+    ) as server:
         click.echo(f"environments at {server.url}; Ctrl-C stops the server")
         if host not in ("127.0.0.1", "::1", "localhost"):
             click.echo("anybody who can reach this address can run episodes", err=True)

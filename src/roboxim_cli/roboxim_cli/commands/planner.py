@@ -37,10 +37,10 @@ def dumps(folder: Path | None) -> None:
         click.echo(f"no dumps in {folder or dump_folder()}")
     for path in found:
         try:
-            said = str(read_dump(path).outcome)
+            outcome = str(read_dump(path).outcome)
         except ConfigError as error:  # e.g. of an older planner
-            said = str(error)
-        click.echo(f"{path}\n  {said}")
+            outcome = str(error)
+        click.echo(f"{path}\n  {outcome}")
 
 
 @command.command("replay")

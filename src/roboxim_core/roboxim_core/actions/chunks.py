@@ -21,13 +21,13 @@ MAX_ROWS = 1_000_000
 """Largest number of actions in a chunk if no horizon limits it."""
 
 
-def check_chunk(actions: Any, *, size: int | None = ACTION_SIZE, most: int = MAX_ROWS) -> ActionArray:
+def check_chunk(actions: Any, *, size: int | None = ACTION_SIZE, max_rows: int = MAX_ROWS) -> ActionArray:
     """Validate a chunk of actions.
 
     Args:
         actions: Array-like of integers or floats, shape (horizon, size) or (size,).
         size: Number of components of an action; None: any, but equal for all actions.
-        most: Largest horizon.
+        max_rows: Largest horizon.
 
     Returns:
         float32 array of shape (horizon, size).
@@ -37,7 +37,7 @@ def check_chunk(actions: Any, *, size: int | None = ACTION_SIZE, most: int = MAX
             too many actions, or a value is NaN or infinite (also after the conversion to float32).
     """
     try:
-        raw = _numbers(actions, most)
+        raw = _numbers(actions, max_rows)
     except InvalidRequestError:
         raise
     except (Exception, SystemExit) as error:  # conversion to an array runs foreign code, which may raise anything
@@ -45,8 +45,8 @@ def check_chunk(actions: Any, *, size: int | None = ACTION_SIZE, most: int = MAX
     shown = f"(horizon, {'n' if size is None else size})"
     if raw.ndim not in (1, 2) or raw.size == 0 or (size is not None and raw.shape[-1] != size):
         raise _invalid(f"actions must have shape {shown}, got {raw.shape}")
-    if raw.ndim == 2 and raw.shape[0] > most:
-        raise _invalid(f"actions must have shape {shown} with a horizon of at most {most}, got {raw.shape}")
+    if raw.ndim == 2 and raw.shape[0] > max_rows:
+        raise _invalid(f"actions must have shape {shown} with a horizon of at most {max_rows}, got {raw.shape}")
     with np.errstate(over="ignore", invalid="ignore"):
         chunk = np.atleast_2d(raw).astype(np.float32)
     if not np.isfinite(chunk).all():
@@ -56,10 +56,10 @@ def check_chunk(actions: Any, *, size: int | None = ACTION_SIZE, most: int = MAX
     return chunk
 
 
-def _numbers(actions: Any, most: int) -> npt.NDArray[Any]:
+def _numbers(actions: Any, max_rows: int) -> npt.NDArray[Any]:
     """Return the given integers or floats as an array, without casting other types."""
     if isinstance(actions, list | tuple):
-        _require_numbers(actions, most, depth=2)
+        _require_numbers(actions, max_rows, depth=2)
     elif isinstance(actions, np.ma.MaskedArray):
         raise _invalid("actions are not numbers: a masked array; fill its masked values first")
     raw = np.asarray(actions)
@@ -68,10 +68,10 @@ def _numbers(actions: Any, most: int) -> npt.NDArray[Any]:
     return raw
 
 
-def _require_numbers(values: list[Any] | tuple[Any, ...], most: int, *, depth: int) -> None:
+def _require_numbers(values: list[Any] | tuple[Any, ...], max_rows: int, *, depth: int) -> None:
     """Refuse a list that NumPy would cast (booleans, strings, masked parts) or that is too deep or too long."""
-    if len(values) > max(most, 1024):
-        raise _invalid(f"actions have a horizon of at most {most}, got {len(values)}")
+    if len(values) > max(max_rows, 1024):
+        raise _invalid(f"actions have a horizon of at most {max_rows}, got {len(values)}")
     for value in values:
         if isinstance(value, list | tuple):
             if depth == 1:

@@ -100,13 +100,15 @@ def check_mesh(path: Path, scale: float = 1.0) -> list[Finding]:
         return [*found, _error(str(error))]
     size = np.ptp(mesh.bounds, axis=0) * scale
     longest = float(size.max())
-    said = " x ".join(f"{v:.3g}" for v in size)
+    size_text = " x ".join(f"{v:.3g}" for v in size)
     if longest > LARGEST_M:
         found.append(
-            _error(f"{path.name} would be {said} m large: its units look like millimetres; give it a scale of 0.001")
+            _error(
+                f"{path.name} would be {size_text} m large: its units look like millimetres; give it a scale of 0.001"
+            )
         )
     elif longest < SMALLEST_M:
-        found.append(_error(f"{path.name} would be {said} m large, too small to grasp; give it a larger scale"))
+        found.append(_error(f"{path.name} would be {size_text} m large, too small to grasp; give it a larger scale"))
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     if not mesh.is_watertight:
         found.append(_warning(f"{path.name} is not watertight: close its holes; otherwise some sides look transparent"))
@@ -249,8 +251,10 @@ def _extents(model: ObjectModel, config: ObjectConfig) -> list[Finding]:
     x, y, _ = 2 * np.maximum(-low, high)
     size = (float(x), float(y), float(high[2] - low[2]))
     if config.size is not None and np.abs(np.subtract(model.size, size)).max() > 2e-3:
-        said = ", ".join(f"{value:.4g}" for value in size)
-        found.append(_error(f"size is {list(model.size)} but the shapes' is [{said}]; remove size, or set it to that"))
+        size_text = ", ".join(f"{value:.4g}" for value in size)
+        found.append(
+            _error(f"size is {list(model.size)} but the shapes' is [{size_text}]; remove size, or set it to that")
+        )
     return found
 
 

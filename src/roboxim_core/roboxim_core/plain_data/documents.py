@@ -29,12 +29,12 @@ _BYTE_ORDER_MARKS = (
 """Marks at the beginning of a file, with the encoding that they tell."""
 
 
-def read_text(path: Path | str, most: int = limits.YAML_BYTES) -> str:
+def read_text(path: Path | str, max_bytes: int = limits.YAML_BYTES) -> str:
     """Read a text file: UTF-8, or UTF-16 or UTF-32 with a byte order mark, as the YAML specification has it.
 
     Args:
         path: The file.
-        most: Largest size [bytes].
+        max_bytes: Largest size [bytes].
 
     Raises:
         ConfigError: When it is missing, too large or of another encoding.
@@ -43,9 +43,9 @@ def read_text(path: Path | str, most: int = limits.YAML_BYTES) -> str:
     encoding = "UTF-8"
     try:
         with open(file, "rb") as stream:
-            content = stream.read(most + 1)
-        if len(content) > most:
-            raise ConfigError(f"{file} is larger than {most} bytes")
+            content = stream.read(max_bytes + 1)
+        if len(content) > max_bytes:
+            raise ConfigError(f"{file} is larger than {max_bytes} bytes")
         encoding = next((name for mark, name in _BYTE_ORDER_MARKS if content.startswith(mark)), encoding)
         return content.decode(encoding).removeprefix("\ufeff")
     except (OSError, ValueError) as error:
@@ -233,19 +233,19 @@ def _refuse(source: str, event: Any, problem: str) -> NoReturn:
     raise ConfigError(f"{source} line {event.start_mark.line + 1}: {problem}")
 
 
-def parse_json(text: str, *, source: str = "JSON", most: int = limits.DOCUMENT_BYTES) -> Any:
+def parse_json(text: str, *, source: str = "JSON", max_bytes: int = limits.DOCUMENT_BYTES) -> Any:
     """Parse JSON text.
 
     Args:
         text: The text.
         source: Origin of the text, for messages.
-        most: Largest size [characters].
+        max_bytes: Largest size [characters].
 
     Raises:
         ConfigError: When it is not JSON (NaN and infinities are not JSON), too large or nested too deep.
     """
-    if len(text) > most:
-        raise ConfigError(f"{source} is larger than {most} characters, got {len(text)}")
+    if len(text) > max_bytes:
+        raise ConfigError(f"{source} is larger than {max_bytes} characters, got {len(text)}")
 
     def refuse(constant: str) -> NoReturn:
         raise ValueError(f"{constant} is not a number of JSON")
@@ -263,26 +263,26 @@ def parse_json(text: str, *, source: str = "JSON", most: int = limits.DOCUMENT_B
     return data
 
 
-def read_json(path: Path | str, most: int = limits.DOCUMENT_BYTES) -> Any:
+def read_json(path: Path | str, max_bytes: int = limits.DOCUMENT_BYTES) -> Any:
     """Read a JSON file.
 
     Args:
         path: The file.
-        most: Largest size [bytes].
+        max_bytes: Largest size [bytes].
 
     Raises:
         ConfigError: Naming the file, as `read_text` and `parse_json`.
     """
-    return parse_json(read_text(path, most), source=str(path), most=most)
+    return parse_json(read_text(path, max_bytes), source=str(path), max_bytes=max_bytes)
 
 
-def read_json_object(path: Path | str, most: int = limits.DOCUMENT_BYTES) -> dict[str, Any]:
+def read_json_object(path: Path | str, max_bytes: int = limits.DOCUMENT_BYTES) -> dict[str, Any]:
     """Read a JSON file that holds an object; arguments as `read_json`.
 
     Raises:
         ConfigError: As `read_json`, and when it holds something else.
     """
-    data = read_json(path, most)
+    data = read_json(path, max_bytes)
     if not isinstance(data, dict):
         raise ConfigError(f"{path} holds a {type(data).__name__}, expected a JSON object")
     return data

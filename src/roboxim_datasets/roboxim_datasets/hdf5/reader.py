@@ -81,8 +81,8 @@ class Hdf5Dataset(Dataset):
 
     def _own_content(self) -> Hdf5Content:
         try:
-            said = parse_json(self._attributes[ATTRIBUTE], source=str(self.file))
-            return Hdf5Content.from_json(said, str(self.file))
+            content = parse_json(self._attributes[ATTRIBUTE], source=str(self.file))
+            return Hdf5Content.from_json(content, str(self.file))
         except (ValueError, TypeError, ConfigError) as error:
             raise RecorderError(f"{self.file}: its description is damaged: {error}", ErrorCode.BAG_DAMAGED) from None
 
@@ -217,26 +217,26 @@ class Hdf5Dataset(Dataset):
         where = f"{self.file}, {demo}"
         with opened(self.file) as file, reading(where):
             group = file["data"][demo]
-            said = attributes(group)
-            own = _object(said.get(ATTRIBUTE, ""))
+            attached = attributes(group)
+            own = _object(attached.get(ATTRIBUTE, ""))
             length = len(numbers(group.get("actions"), f"{where}, 'actions'", len(_array(group, "actions", where))))
             rewarded = solved(numbers(group["rewards"], f"{where}, 'rewards'", length)) if _readable(group) else None
         instructions = own.get("instructions")
         return self.description.episode(
             length=length,
-            instruction=self._instruction(said),
+            instruction=self._instruction(attached),
             instructions=[str(text) for text in instructions] if isinstance(instructions, list) else (),
-            success=_flag(said["success"]) if "success" in said else rewarded,
-            said=own,
+            success=_flag(attached["success"]) if "success" in attached else rewarded,
+            metadata=own,
             name="" if ATTRIBUTE in self._attributes else demo,
             read=lambda wanted: self._steps(demo, length, wanted),
         )
 
-    def _instruction(self, said: Mapping[str, str]) -> str:
+    def _instruction(self, attached: Mapping[str, str]) -> str:
         """Return the instruction: RoboXim's, else robocasa's (``ep_meta``), else LIBERO's (``problem_info``)."""
         places = (
-            said.get("instruction"),
-            _object(said.get("ep_meta", "")).get("lang"),
+            attached.get("instruction"),
+            _object(attached.get("ep_meta", "")).get("lang"),
             _object(self._attributes.get("problem_info", "")).get("language_instruction"),
         )
         return next((str(text) for text in places if text), "")

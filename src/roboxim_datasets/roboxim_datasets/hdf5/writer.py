@@ -76,14 +76,14 @@ class Hdf5Writer:
             )
         group.attrs["instruction"] = episode.instruction
         group.attrs["ep_meta"] = json.dumps({"lang": episode.instruction})  # as robocasa says it
-        said: dict[str, Any] = {
+        attached: dict[str, Any] = {
             "episode_id": episode.episode_id, "success": episode.success, "metadata": dict(episode.metadata)
         }  # fmt: skip
         if episode.robot != self._description.robot:
-            said["robot"] = episode.robot
+            attached["robot"] = episode.robot
         if episode.instructions:
-            said["instructions"] = list(episode.instructions)
-        group.attrs[ATTRIBUTE] = json.dumps(said)
+            attached["instructions"] = list(episode.instructions)
+        group.attrs[ATTRIBUTE] = json.dumps(attached)
         if not length:
             raise InvalidRequestError(f"episode '{episode.episode_id}' has no steps; leave it out")
         images = {key: self._images(group, key, camera, length) for key, camera in content.cameras.items()}

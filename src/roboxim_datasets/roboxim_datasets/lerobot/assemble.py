@@ -240,8 +240,8 @@ class _Version21:
         path = self._root / DATA_PATH["2.1"].format(episode_chunk=index // CHUNK, episode_index=index)
         path.parent.mkdir(parents=True, exist_ok=True)
         pq.write_table(complete_table(self._layout, episode.piece, episode.indices), path)
-        said = {"episode_index": index, "tasks": _instructions(episode.facts), "length": episode.length}
-        self._episodes.write(json.dumps(said, ensure_ascii=False) + "\n")
+        entry = {"episode_index": index, "tasks": _instructions(episode.facts), "length": episode.length}
+        self._episodes.write(json.dumps(entry, ensure_ascii=False) + "\n")
         self._stats.write(json.dumps({"episode_index": index, "stats": stats}) + "\n")
 
     def tasks(self, tasks: list[str]) -> None:
@@ -297,11 +297,11 @@ class _Files:
             self._writer = None
 
 
-def _grouped(sizes: list[int], most: int) -> list[range]:
-    """Return ranges of consecutive items whose sizes sum up to at most ``most``, each of at least one item."""
+def _grouped(sizes: list[int], max_size: int) -> list[range]:
+    """Return ranges of consecutive items whose sizes sum up to at most ``max_size``, each of at least one item."""
     groups, begin, total = [], 0, 0
     for index, size in enumerate(sizes):
-        if index > begin and total + size > most:
+        if index > begin and total + size > max_size:
             groups.append(range(begin, index))
             begin, total = index, 0
         total += size

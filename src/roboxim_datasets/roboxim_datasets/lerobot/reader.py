@@ -235,11 +235,11 @@ class LeRobotDataset(Dataset):
 
         Episodes that no split names are in ``train``: lerobot reads them too, and edited datasets lag behind.
         """
-        said = self.info.get("splits")
+        splits = self.info.get("splits")
         found: dict[str, list[Place]] = {"train": []}
         lost: dict[str, str] = {}
         left = dict(sorted(self._table.places.items()))
-        for name, text in (said if isinstance(said, dict) else {}).items():
+        for name, text in (splits if isinstance(splits, dict) else {}).items():
             match = _SPLIT.fullmatch(str(text))
             if match is None or int(match[1]) > int(match[2]):
                 lost[name] = f"'{printable(text, 60)}' is no range of episodes, as 0:10"
@@ -290,8 +290,8 @@ class LeRobotDataset(Dataset):
         about: dict[str, Any] = next(
             (feature["info"] for feature in kinds if isinstance(feature.get("info"), dict)), {}
         )
-        said = about.get("video.codec"), about.get("video.pix_fmt")
-        codec = next((name for name, codec in CODECS.items() if (codec.codec, codec.pixel_format) == said), None)
+        encoding = about.get("video.codec"), about.get("video.pix_fmt")
+        codec = next((name for name, codec in CODECS.items() if (codec.codec, codec.pixel_format) == encoding), None)
         return {**found, "codec": codec} if codec else found
 
     @property
@@ -344,7 +344,7 @@ class LeRobotDataset(Dataset):
                 instruction=texts[0],
                 instructions=tuple(dict.fromkeys(texts)),
                 success=said.get("success") if said else self._succeeded(place),
-                said=said,
+                metadata=said,
                 read=lambda wanted: self._steps(place, wanted),
             )
 
@@ -524,8 +524,8 @@ class LeRobotDataset(Dataset):
         for name, why in self._table.left_out.items():
             account.holds("episode", name)
             account.leaves_out("episode", name, why)
-        said = self.info.get("splits")
-        for split in said if isinstance(said, dict) else ():
+        splits = self.info.get("splits")
+        for split in splits if isinstance(splits, dict) else ():
             account.holds("split", str(split))
             if split in self._lost_splits:
                 account.leaves_out("split", str(split), self._lost_splits[split])

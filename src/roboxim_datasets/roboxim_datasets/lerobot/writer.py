@@ -118,10 +118,10 @@ class LeRobotWriter:
             for key, size in self.layout.cameras.items()
         }
 
-    def _settle(self, most: int) -> None:
-        """Wait until at most ``most`` episodes are under way, and note the finished ones in their order."""
+    def _settle(self, max_pending: int) -> None:
+        """Wait until at most ``max_pending`` episodes are under way, and note the finished ones in their order."""
         while self._under_way and (
-            len(self._under_way) > most or all(future.done() for future in self._under_way[0][1].values())
+            len(self._under_way) > max_pending or all(future.done() for future in self._under_way[0][1].values())
         ):
             facts, futures = self._under_way.popleft()
             sizes = {key: future.result().size for key, future in futures.items()}
@@ -215,11 +215,11 @@ class _Collected:
         for key, samples in self._samples.items():
             table = table.append_column(SAMPLE + key, sample_column(samples))
         histograms = {key: statistics.histogram.tolist() for key, statistics in self._statistics.items()}
-        said: dict[str, Any] = {
+        facts: dict[str, Any] = {
             "episode_id": episode.episode_id,
             "success": episode.success,
             "metadata": dict(episode.metadata),
         }
         if episode.robot != self._layout.robot_type:
-            said["robot"] = episode.robot
-        return Piece(table=table, facts={"episode": said, "histograms": histograms, "images": len(table)})
+            facts["robot"] = episode.robot
+        return Piece(table=table, facts={"episode": facts, "histograms": histograms, "images": len(table)})

@@ -159,16 +159,16 @@ def _success(episode: RldsEpisode) -> bool | None:
     """Return whether an episode solved its task: as its metadata say it, else as its rewards do."""
     metadata = episode.metadata
     if "success" in metadata:
-        said = str(metadata["success"]).strip().lower()
-        return {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}.get(said)
+        success = str(metadata["success"]).strip().lower()
+        return {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}.get(success)
     if "outcome" in metadata:
         return {text: value for value, text in OUTCOMES.items()}.get(str(metadata["outcome"]))
     return solved(episode.reward)
 
 
-def _rate(said: MetaValue) -> float:
+def _rate(stated: MetaValue) -> float:
     """Return a rate as it was before it was stored in single precision; 0: it is none."""
-    rate = float(f"{said:.7g}") if isinstance(said, int | float) else 0.0
+    rate = float(f"{stated:.7g}") if isinstance(stated, int | float) else 0.0
     return rate if np.isfinite(rate) and rate > 0 else 0.0
 
 
@@ -178,8 +178,8 @@ def semantics_of(episode: RldsEpisode) -> ActionSemantics | None:
     Raises:
         ConfigError: When it states them in another format.
     """
-    said = episode.metadata.get("action_semantics")
-    return from_json(str(said), ActionSemantics, source="episode_metadata/action_semantics") if said else None
+    semantics = episode.metadata.get("action_semantics")
+    return from_json(str(semantics), ActionSemantics, source="episode_metadata/action_semantics") if semantics else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,12 +202,12 @@ def component_names_of(episode: RldsEpisode, features: RldsFeatures) -> Componen
     """
     metadata = episode.metadata
     joints = tuple(_parsed(metadata, "joint_names", []))
-    said = {"state": _parsed(metadata, "state_layout", []), **_parsed(metadata, "vectors", {})}
+    stated = {"state": _parsed(metadata, "state_layout", []), **_parsed(metadata, "vectors", {})}
     if "joint_positions" in features.vectors:
-        said.setdefault("joint_positions", component_names((ProprioField.JOINT_POSITIONS,), joints))
+        stated.setdefault("joint_positions", component_names((ProprioField.JOINT_POSITIONS,), joints))
 
     def named(name: str, size: int, key: str) -> tuple[str, ...]:
-        names = tuple(map(str, said.get(key, ())))
+        names = tuple(map(str, stated.get(key, ())))
         return names if len(names) == size else tuple(f"{name}.{index}" for index in range(size))
 
     semantics = semantics_of(episode)
@@ -236,9 +236,9 @@ def camera_keys(episode: RldsEpisode) -> dict[str, str]:
     Raises:
         ConfigError: If the dataset's camera names are not readable.
     """
-    said = _parsed(episode.metadata, "cameras", {})
+    cameras = _parsed(episode.metadata, "cameras", {})
     usual = {key: camera for camera, key in USUAL_KEYS.items()}
-    return {str(said.get(key, usual.get(key, key))): key for key in episode.images}
+    return {str(cameras.get(key, usual.get(key, key))): key for key in episode.images}
 
 
 def _parsed(metadata: Mapping[str, MetaValue], key: str, default: list[str] | dict[str, str]) -> Any:

@@ -86,11 +86,11 @@ class RldsReader:
         for split, lengths in self.splits.items():
             for index, length in enumerate(lengths):
                 path = self.shard(split, index)
-                most = path.stat().st_size // SMALLEST
-                if not 0 <= length <= most:
+                max_records = path.stat().st_size // SMALLEST
+                if not 0 <= length <= max_records:
                     raise RecorderError(
                         f"{self.path / INFO_FILE} says that {path.name} holds {length} episodes; its size allows 0 to "
-                        f"{most}",
+                        f"{max_records}",
                         ErrorCode.BAG_DAMAGED,
                     )
 

@@ -45,11 +45,11 @@ def audit_findings(probes: Probes) -> Audit:
     """Judge the probes of an environment."""
     findings, passed, untested = [], [], {}
     for name, check in CHECKS.items():
-        said = list(check(probes))
-        if said and said[0].startswith("?"):
-            untested[name] = said[0][1:].strip()
-        elif said:
-            findings += [Finding(check=name, sentence=sentence) for sentence in dict.fromkeys(said)]
+        count = list(check(probes))
+        if count and count[0].startswith("?"):
+            untested[name] = count[0][1:].strip()
+        elif count:
+            findings += [Finding(check=name, sentence=sentence) for sentence in dict.fromkeys(count)]
         else:
             passed.append(name)
     ways = {
@@ -190,17 +190,17 @@ def _starts_unsolved(p: Probes) -> Said:
 def _reward(p: Probes) -> Said:
     """Sparse rewards agree with the success step by step; of dense ones a success has the larger final one."""
     steps = [
-        (reward, said)
+        (reward, success)
         for trace in _whole(p)
-        for reward, said in zip(trace.rewards, trace.successes, strict=True)
-        if said is not None
+        for reward, success in zip(trace.rewards, trace.successes, strict=True)
+        if success is not None
     ]
     if not steps:
         yield "? no step says whether it succeeded"
         return
     levels = {reward for reward, _ in steps}
-    good = [reward for reward, said in steps if said]
-    bad = [reward for reward, said in steps if not said]
+    good = [reward for reward, success in steps if success]
+    bad = [reward for reward, success in steps if not success]
     if len(levels) <= 2 and good and bad:
         wrong = sum(reward == max(levels) for reward in bad) + sum(reward != max(levels) for reward in good)
         if wrong:

@@ -69,8 +69,8 @@ class Trace:
     @property
     def success(self) -> bool | None:
         """Whether the last step that says so reports success; none: no step says anything."""
-        said = [one for one in self.successes if one is not None]
-        return said[-1] if said else None
+        known = [one for one in self.successes if one is not None]
+        return known[-1] if known else None
 
     @property
     def outcome(self) -> tuple[Any, ...]:

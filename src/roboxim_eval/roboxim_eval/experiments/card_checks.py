@@ -153,13 +153,13 @@ def attestation_warnings(trainings: Iterable[CardTraining]) -> Iterable[str]:
             )
     own = {name: training.attest.recipe.get(ARGUMENTS) for name, training in by_condition.items()}
     if len(set(map(str, own.values()))) > 1:
-        said = "; ".join(f"{name}: {text}" for name, text in own.items())
-        yield f"Conditions differ in the arguments of their trainings, not in the dataset alone ({said})."
+        differences = "; ".join(f"{name}: {text}" for name, text in own.items())
+        yield f"Conditions differ in the arguments of their trainings, not in the dataset alone ({differences})."
     names = list(by_condition)
     for name in names[1:]:
         one, two = by_condition[names[0]], by_condition[name]
-        if said := _differing(one, two, without=ARGUMENTS):
-            yield f"Recipes of {one.condition} and {two.condition} differ in more than the dataset: {said}."
+        if differences := _differing(one, two, without=ARGUMENTS):
+            yield f"Recipes of {one.condition} and {two.condition} differ in more than the dataset: {differences}."
         if one.attest.pretraining != two.attest.pretraining:
             yield (
                 f"{one.condition} and {two.condition} started from different weights: "

@@ -107,8 +107,8 @@ def circumstances(cards: Mapping[str, Card], condition: str) -> Iterator[str]:
             if value:
                 groups.setdefault(value, []).append(name)
         if len(groups) > 1:
-            said = "; ".join(f"{value} ({_listed(names)})" for value, names in groups.items())
-            yield f"The runs differ in {what}, too: {said}. A difference of the models may be due to that."
+            groups_text = "; ".join(f"{value} ({_listed(names)})" for value, names in groups.items())
+            yield f"The runs differ in {what}, too: {groups_text}. A difference of the models may be due to that."
 
 
 def _datasets(cards: Mapping[str, Card], condition: str) -> dict[str, str]:

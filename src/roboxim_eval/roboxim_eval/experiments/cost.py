@@ -250,18 +250,18 @@ def _trainings_s(design: Design, rates: Rates, trainings: int) -> float:
     Raises:
         ConfigError: When the rate of so many trainings at a time was not measured.
     """
-    most = trainings_at_once(design, trainings)
-    by_number = {number: rate for number in range(1, most + 1) if (rate := rates.at_once(number))}
-    if len(by_number) < most:
+    at_once = trainings_at_once(design, trainings)
+    by_number = {number: rate for number in range(1, at_once + 1) if (rate := rates.at_once(number))}
+    if len(by_number) < at_once:
         raise ConfigError(
-            f"the rate of {most} trainings at a time was not measured; 'roboxim experiment calibrate --trainings "
-            f"{most}' measures it"
+            f"the rate of {at_once} trainings at a time was not measured; 'roboxim experiment calibrate --trainings "
+            f"{at_once}' measures it"
         )
     waiting = [(training.steps, 1 + len(training.checkpoints)) for training in design.trainings]
     running: list[tuple[float, int, int]] = []  # share that is left, steps, starts
     passed_s = 0.0
     while waiting or running:
-        running += [(1.0, *waiting.pop(0)) for _ in range(min(most - len(running), len(waiting)))]
+        running += [(1.0, *waiting.pop(0)) for _ in range(min(at_once - len(running), len(waiting)))]
         rate = by_number[len(running)]
         whole_s = [steps / rate.steps_per_s + starts * rate.start_s for _, steps, starts in running]
         next_s = min(left * whole for (left, *_), whole in zip(running, whole_s, strict=True))

@@ -110,7 +110,9 @@ class Models:
     @property
     def sentences(self) -> tuple[str, ...]:
         """The result in words: models with many errors, the verdicts, and the warnings of the cards."""
-        own = [f"The card of {name} warns: {said}" for name, warnings in self.warnings.items() for said in warnings]
+        own = [
+            f"The card of {name} warns: {warning}" for name, warnings in self.warnings.items() for warning in warnings
+        ]
         return (*self.errors, *self.verdicts, *own)
 
     @property

@@ -41,17 +41,17 @@ class Film:
 
 
 def film_strip(
-    frames: Frames, *, most: int | None = FILM_FRAMES, height: int = FRAME_HEIGHT, frame_ms: float = FRAME_MS
+    frames: Frames, *, max_frames: int | None = FILM_FRAMES, height: int = FRAME_HEIGHT, frame_ms: float = FRAME_MS
 ) -> Film:
     """Encode frames, evenly chosen, the first and the last included.
 
     Args:
         frames: RGB, uint8, each of shape (height, width, 3); at least one.
-        most: Largest number of frames; none: all.
+        max_frames: Largest number of frames; none: all.
         height: Largest height of a frame [px].
         frame_ms: Time of a frame [ms].
     """
-    count = len(frames) if most is None else min(most, len(frames))
+    count = len(frames) if max_frames is None else min(max_frames, len(frames))
     chosen = np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int)).tolist()
     scale = min(1.0, height / frames[0].shape[0])
     size = tuple(max(1, round(side * scale)) for side in frames[0].shape[1::-1])
@@ -75,36 +75,40 @@ def _strip(frames: Frames, chosen: Sequence[int], size: tuple[int, ...]) -> str:
     return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
-def chosen_films(outcomes: Sequence[tuple[str, bool]], most: int) -> list[str]:
+def chosen_films(outcomes: Sequence[tuple[str, bool]], max_films: int) -> list[str]:
     """Return the episodes whose films are shown: as many failures as successes, spread over the run.
 
     Args:
         outcomes: Episode to whether it succeeded, in the order of the run.
-        most: Largest number of films.
+        max_films: Largest number of films.
     """
     failed = [episode for episode, success in outcomes if not success]
     solved = [episode for episode, success in outcomes if success]
-    half = most // 2
-    many_failed = min(len(failed), max(half, most - len(solved)))
-    return [*_spread(failed, many_failed), *_spread(solved, min(len(solved), most - many_failed))]
+    half = max_films // 2
+    many_failed = min(len(failed), max(half, max_films - len(solved)))
+    return [*_spread(failed, many_failed), *_spread(solved, min(len(solved), max_films - many_failed))]
 
 
-def _spread(items: list[str], most: int) -> list[str]:
-    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, most).round().astype(int))] if most else []
+def _spread(items: list[str], max_items: int) -> list[str]:
+    return (
+        [items[i] for i in np.unique(np.linspace(0, len(items) - 1, max_items).round().astype(int))]
+        if max_items
+        else []
+    )
 
 
-def chosen_scenes(outcomes: Mapping[str, Sequence[str]], most: int) -> list[str]:
+def chosen_scenes(outcomes: Mapping[str, Sequence[str]], max_scenes: int) -> list[str]:
     """Return the scenes whose films are shown side by side: as many of each pattern of outcomes, spread over the run.
 
     Args:
         outcomes: Scene to the outcomes of all policies, in the order of the run.
-        most: Largest number of scenes.
+        max_scenes: Largest number of scenes.
     """
     patterns: dict[tuple[str, ...], list[str]] = {}
     for scene, found in outcomes.items():
         patterns.setdefault(tuple(found), []).append(scene)
     shares = dict.fromkeys(patterns, 0)
-    for _ in range(min(most, len(outcomes))):
+    for _ in range(min(max_scenes, len(outcomes))):
         open_ones = [pattern for pattern in patterns if shares[pattern] < len(patterns[pattern])]
         shares[min(open_ones, key=lambda pattern: (shares[pattern], len(set(pattern)) < 2))] += 1
     return [scene for pattern, share in shares.items() for scene in _spread(patterns[pattern], share)]

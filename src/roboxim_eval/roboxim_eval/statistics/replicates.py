@@ -255,7 +255,7 @@ def mean_interval(estimates: Sequence[Interval]) -> Interval:
 
 
 def more_trainings(
-    difference: ConditionDifference, margin: float, *, alpha: float = 0.05, most: int = 10_000
+    difference: ConditionDifference, margin: float, *, alpha: float = 0.05, max_trainings: int = 10_000
 ) -> int | None:
     """Return about how many more trainings an arm would decide a margin with a chance of 80 %.
 
@@ -263,10 +263,11 @@ def more_trainings(
         difference: The difference so far.
         margin: Difference to detect, 0..1.
         alpha: Probability of a false alarm of this comparison, two-sided.
-        most: Number of trainings above which none is returned.
+        max_trainings: Number of trainings above which none is returned.
 
     Returns:
-        Number in addition to the present ones; none if one replicate does not tell, or if it is beyond ``most``.
+        Number in addition to the present ones; none if one replicate does not tell, or if it is beyond
+        ``max_trainings``.
     """
     if difference.replicates < 2 or margin <= 0:
         return None
@@ -275,7 +276,7 @@ def more_trainings(
     episodes = (first.episodes + second.episodes) / 2 / difference.replicates
     spread = max(difference.spread, 1 / max(1.0, episodes))  # a spread of 0 is chance
     least = math.ceil(((_t_limit(1 - alpha / 2, MANY) + _t_limit(0.8, MANY)) * spread / margin) ** 2)
-    for replicates in range(max(2, difference.replicates, least), most + 1):
+    for replicates in range(max(2, difference.replicates, least), max_trainings + 1):
         needed = _t_limit(1 - alpha / 2, replicates - 1) + _t_limit(0.8, replicates - 1)
         if needed * spread / math.sqrt(replicates) <= margin:
             return replicates - difference.replicates

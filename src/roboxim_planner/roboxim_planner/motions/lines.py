@@ -83,5 +83,5 @@ def _free_part(sweep: Sweep | None, path: Array) -> tuple[int, str]:
     if sweep is None or hit < 0.0:
         return len(path), ""
     contacts, broken = at_fault(sweep.exact, between(path, hit))
-    said = "; ".join([*(str(contact) for contact in contacts[:3]), *broken])
-    return max(1, math.ceil(hit)), said
+    causes = "; ".join([*(str(contact) for contact in contacts[:3]), *broken])
+    return max(1, math.ceil(hit)), causes

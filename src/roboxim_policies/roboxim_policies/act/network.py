@@ -70,11 +70,11 @@ class Network(eqx.Module):
         asked = jnp.broadcast_to(self.queries, (len(tokens), *self.queries.shape))
         answers = normalised(self.decoder(asked, tokens))
         repeated = jnp.broadcast_to(known[:, None], (*answers.shape[:2], known.shape[-1]))
-        said = self.action_head(relu_layers([self.action_trunk], jnp.concatenate([answers, repeated], axis=-1)))
-        horizontal = said[..., :2] + turned(said[..., 8:], inputs.heading[:, None])
+        action = self.action_head(relu_layers([self.action_trunk], jnp.concatenate([answers, repeated], axis=-1)))
+        horizontal = action[..., :2] + turned(action[..., 8:], inputs.heading[:, None])
         return Prediction(
-            motion=jnp.concatenate([horizontal, said[..., 2:6]], axis=-1), closed=said[..., 6], opening=said[..., 7],
-            target=target, camera_targets=seen.camera_targets,
+            motion=jnp.concatenate([horizontal, action[..., 2:6]], axis=-1), closed=action[..., 6],
+            opening=action[..., 7], target=target, camera_targets=seen.camera_targets,
         )  # fmt: skip
 
 

@@ -154,11 +154,11 @@ class Network(eqx.Module):
         x = jnp.concatenate([x, target, *common], axis=-1)
         for layer in self.action_trunk:
             x = jax.nn.relu(layer(x))
-        said = self.action_head(x).reshape(-1, self.chunk, 10)
-        horizontal = said[..., :2] + turned(said[..., 8:], inputs.heading[:, None])
+        action = self.action_head(x).reshape(-1, self.chunk, 10)
+        horizontal = action[..., :2] + turned(action[..., 8:], inputs.heading[:, None])
         return Prediction(
-            motion=jnp.concatenate([horizontal, said[..., 2:6]], axis=-1), closed=said[..., 6], opening=said[..., 7],
-            target=target, camera_targets=camera_targets,
+            motion=jnp.concatenate([horizontal, action[..., 2:6]], axis=-1), closed=action[..., 6],
+            opening=action[..., 7], target=target, camera_targets=camera_targets,
         )  # fmt: skip
 
 

@@ -126,7 +126,7 @@ class Checkpoint:
         content.update(f"{data.vocabulary}{to_json(data.semantics)}".encode())
         if config.FAMILY != "bc":
             content.update(f"{config.FAMILY}{data.instructions}".encode())
-            content.update(data.said.tobytes())
+            content.update(data.instruction.tobytes())
         return f"{digest(replace(config, checkpoint_every=1))}-{content.hexdigest()}"
 
     def restore(self, state: Any) -> Any:
@@ -163,7 +163,7 @@ def save_checkpoint(
         OSError: When the disk is full.
     """
     arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(state)]
-    said = {
+    description = {
         "format": FORMAT,
         **({} if config.FAMILY == "bc" else {"family": config.FAMILY}),
         **({} if chosen is None else {"chosen": asdict(chosen)}),
@@ -182,7 +182,7 @@ def save_checkpoint(
         "digest": _digest(arrays[-1]),
         "episodes": data.episodes,
     }
-    content = _content(said, arrays)
+    content = _content(description, arrays)
     scratch = path.with_name(f".{path.name}.tmp")
     with scratch.open("wb") as file:
         file.write(content)
@@ -209,14 +209,14 @@ def policy_only(path: Path) -> bytes:
     averaged = whole.arrays[-1]
     if _digest(averaged) != whole.digest:
         raise ConfigError(f"{file} is damaged: its averaged weights have another hash than its description says")
-    said = {**read_description(path), ORIGINAL: hashlib.sha256(file.read_bytes()).hexdigest()}
-    return _content(said, [averaged])
+    description = {**read_description(path), ORIGINAL: hashlib.sha256(file.read_bytes()).hexdigest()}
+    return _content(description, [averaged])
 
 
-def _content(said: dict[str, Any], arrays: list[npt.NDArray[Any]]) -> bytes:
+def _content(description: dict[str, Any], arrays: list[npt.NDArray[Any]]) -> bytes:
     buffer = io.BytesIO()
     named = {f"array_{index:04d}": array for index, array in enumerate(arrays)}
-    np.savez(buffer, allow_pickle=False, said=np.array(json.dumps(said)), **named)
+    np.savez(buffer, allow_pickle=False, said=np.array(json.dumps(description)), **named)
     return buffer.getvalue()
 
 
@@ -233,7 +233,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     Raises:
         ConfigError: When it is missing, damaged or of another version.
     """
-    file, said = checkpoint_file(path), read_description(path)
+    file, description = checkpoint_file(path), read_description(path)
     try:
         with np.load(file, allow_pickle=False) as archive:
             arrays = [archive[name] for name in sorted(archive.files) if name.startswith("array_")]
@@ -242,21 +242,21 @@ def load_checkpoint(path: Path) -> Checkpoint:
     if not arrays:
         raise ConfigError(f"{file} is not a readable checkpoint: it has no weights")
     return Checkpoint(
-        step=said["step"],
-        config=from_plain(said["config"], config_class(family_in(said)), source=str(file)),
-        stats=Statistics(**{name: np.array(value, np.float32) for name, value in said["stats"].items()}),
-        empty=float(said["empty_below"]),
-        vocabulary=tuple(said["vocabulary"]),
-        word_count=said["word_count"],
-        camera_sizes={name: (int(w), int(h)) for name, (w, h) in said["camera_sizes"].items()},
-        input_sizes=said["input_sizes"],
-        semantics=from_plain(said["semantics"], ActionSemantics, source=str(file)),
-        robot=said.get("robot", ""),
-        chosen=Chosen(**said["chosen"]) if "chosen" in said else None,
-        identity=said["identity"],
-        digest=said["digest"],
+        step=description["step"],
+        config=from_plain(description["config"], config_class(family_in(description)), source=str(file)),
+        stats=Statistics(**{name: np.array(value, np.float32) for name, value in description["stats"].items()}),
+        empty=float(description["empty_below"]),
+        vocabulary=tuple(description["vocabulary"]),
+        word_count=description["word_count"],
+        camera_sizes={name: (int(w), int(h)) for name, (w, h) in description["camera_sizes"].items()},
+        input_sizes=description["input_sizes"],
+        semantics=from_plain(description["semantics"], ActionSemantics, source=str(file)),
+        robot=description.get("robot", ""),
+        chosen=Chosen(**description["chosen"]) if "chosen" in description else None,
+        identity=description["identity"],
+        digest=description["digest"],
         arrays=arrays,
-        original_sha256=said.get(ORIGINAL, ""),
+        original_sha256=description.get(ORIGINAL, ""),
     )
 
 

@@ -25,9 +25,9 @@ def checkpoint_file(path: Path) -> Path:
     return path / "checkpoint.npz" if path.is_dir() else path
 
 
-def family_in(said: Mapping[str, Any]) -> str:
+def family_in(description: Mapping[str, Any]) -> str:
     """Return the family of the policy that a description is of."""
-    return str(said.get("family", "bc"))
+    return str(description.get("family", "bc"))
 
 
 def read_description(path: Path) -> dict[str, Any]:
@@ -47,24 +47,24 @@ def read_description(path: Path) -> dict[str, Any]:
             text = str(archive["said"])
     except UNREADABLE as error:
         raise ConfigError(f"{file} is not a readable checkpoint: {error}") from None
-    said: Any = parse_json(text, source=f"the description in {file}")
-    if not isinstance(said, dict):
-        raise ConfigError(f"{file} is not a readable checkpoint: its description is a {type(said).__name__}")
-    if said.get("format") == 1:
+    description: Any = parse_json(text, source=f"the description in {file}")
+    if not isinstance(description, dict):
+        raise ConfigError(f"{file} is not a readable checkpoint: its description is a {type(description).__name__}")
+    if description.get("format") == 1:
         raise ConfigError(
             f"{file} was trained on proprioception of the old layout (8 numbers with a quaternion); this "
             "version has tcp_rotation_6d instead: export the bags and train again"
         )
-    if said.get("format") == 2:
+    if description.get("format") == 2:
         raise ConfigError(
             f"{file} holds the earlier network, which had no memory of the grasp; this version cannot run it: "
             "train again on the same dataset"
         )
-    if said.get("format") != FORMAT:
-        raise ConfigError(f"{file} has format {said.get('format')}, this version reads {FORMAT}; train it again")
-    if tuple(said.get("state_layout", ())) != STATE_NAMES:
+    if description.get("format") != FORMAT:
+        raise ConfigError(f"{file} has format {description.get('format')}, this version reads {FORMAT}; train it again")
+    if tuple(description.get("state_layout", ())) != STATE_NAMES:
         raise ConfigError(
-            f"{file} was trained on proprioception {said.get('state_layout')}, this version has {list(STATE_NAMES)}; "
-            "export the bags and train again"
+            f"{file} was trained on proprioception {description.get('state_layout')}, this version has "
+            f"{list(STATE_NAMES)}; export the bags and train again"
         )
-    return dict(said)
+    return dict(description)

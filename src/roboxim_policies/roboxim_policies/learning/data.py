@@ -88,7 +88,7 @@ class Demonstrations:
     """For each step, the target of the auxiliary task, shape (N, `TARGET_SIZE`)."""
     instructions: tuple[str, ...]
     """The different instructions."""
-    said: Ints
+    instruction: Ints
     """For each step, the number of its instruction, shape (N,)."""
     vocabulary: tuple[str, ...]
     """Words of the instructions; word i has index i + 1, index 0 is padding and unknown words."""
@@ -142,7 +142,7 @@ def assemble(
     if like is not None:
         vocabulary, longest = like.vocabulary, like.words.shape[1]
     instructions = sorted({episode.instruction for episode in kept})
-    said = np.array([instructions.index(episode.instruction) for episode in kept], np.int32)
+    indices = np.array([instructions.index(episode.instruction) for episode in kept], np.int32)
     words = [word_indices(episode.instruction, vocabulary, longest) for episode in kept]
     proprio = np.concatenate([episode.proprio for episode in kept])
     actions = np.concatenate([episode.actions for episode in kept])
@@ -166,7 +166,7 @@ def assemble(
         words=np.repeat(np.stack(words), lengths, axis=0),
         targets=np.concatenate([_targets(episode.proprio, episode.actions) for episode in kept]),
         instructions=tuple(instructions),
-        said=np.repeat(said, lengths),
+        instruction=np.repeat(indices, lengths),
         vocabulary=vocabulary,
         camera_sizes=dict(camera_sizes),
         semantics=semantics,
@@ -275,10 +275,10 @@ def read_demonstrations(
     semantics: ActionSemantics | None = None
     robots: set[str] = set()
     for index, episode in enumerate(itertools.islice(dataset.episodes(split), total)):
-        said = require_semantics(episode, path)
+        declared = require_semantics(episode, path)
         if semantics is not None:
-            said.require_compatible(semantics, mine=f"episode {index}", theirs="episode 0")
-        semantics = said
+            declared.require_compatible(semantics, mine=f"episode {index}", theirs="episode 0")
+        semantics = declared
         robots.add(episode.robot)
         episodes.append(_demonstration(episode, sizes))
         progress(index + 1, total)

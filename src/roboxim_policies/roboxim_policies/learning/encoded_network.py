@@ -76,12 +76,12 @@ class Perception(eqx.Module):
         """Reduce the inputs to tokens."""
         words = jnp.tanh(self.words(inputs.words))
         common = jnp.concatenate([inputs.state, inputs.heading, words], axis=-1)
-        said, targets = [], []
+        perceived, targets = [], []
         for name, learner in sorted(self.learners.items()):
-            said.append(learner({s: inputs.images[f"{name}/{s}"] for s in STRIDES}, words))
-            points = said[-1].reshape(len(words), -1)
+            perceived.append(learner({s: inputs.images[f"{name}/{s}"] for s in STRIDES}, words))
+            points = perceived[-1].reshape(len(words), -1)
             targets.append(self.camera_heads[name](jnp.concatenate([points, common], axis=-1), inputs.heading))
-        seen = jnp.concatenate(said, axis=1)
+        seen = jnp.concatenate(perceived, axis=1)
         state = self.state(jnp.concatenate([common, *targets], axis=-1))
         tokens = jnp.concatenate([self.tokens(seen), state[:, None]], axis=1) + self.kinds
         return Perceived(

@@ -54,8 +54,8 @@ class TargetHead(eqx.Module):
 
     def __call__(self, x: Array, heading: Array) -> Array:
         """Return the prediction, shape (B, `TARGET_SIZE`), from features and the cosine and sine of the tool's yaw."""
-        said = self.output(jnp.concatenate([jax.nn.relu(self.hidden(x)), x], axis=-1))
-        return jnp.concatenate([said[:, :2] + turned(said[:, -2:], heading), said[:, 2:-2]], axis=-1)
+        output = self.output(jnp.concatenate([jax.nn.relu(self.hidden(x)), x], axis=-1))
+        return jnp.concatenate([output[:, :2] + turned(output[:, -2:], heading), output[:, 2:-2]], axis=-1)
 
 
 def turned(vector: Array, heading: Array) -> Array:

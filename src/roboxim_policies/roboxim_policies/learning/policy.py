@@ -51,36 +51,36 @@ class LearnedPolicy(BasePolicy):
         Raises:
             ConfigError: When the checkpoint cannot be used.
         """
-        self._said = said = load_checkpoint(Path(checkpoint))
-        self.name = said.config.FAMILY
+        self._loaded = loaded = load_checkpoint(Path(checkpoint))
+        self.name = loaded.config.FAMILY
         if family not in ("", self.name):
             raise ConfigError(f"{checkpoint} is a checkpoint of '{self.name}', not of '{family}': --policy {self.name}")
-        self.horizon = execute or said.config.execute
-        if not 1 <= self.horizon <= said.config.chunk:
-            raise ConfigError(f"execute must be 1..{said.config.chunk}, the checkpoint's chunk, got {execute}")
+        self.horizon = execute or loaded.config.execute
+        if not 1 <= self.horizon <= loaded.config.chunk:
+            raise ConfigError(f"execute must be 1..{loaded.config.chunk}, the checkpoint's chunk, got {execute}")
         self.cameras = tuple(
             CameraRequirement(name=name, width=width, height=height)
-            for name, (width, height) in sorted(said.camera_sizes.items())
+            for name, (width, height) in sorted(loaded.camera_sizes.items())
         )
-        self.semantics = said.semantics
-        self.version = f"step {said.step}, {said.digest}"
-        if said.chosen:
-            self.version = f"step {said.chosen.step} ({said.chosen}), {said.digest}"
-        weights, _ = make_network(said.config, tuple(said.camera_sizes), len(said.vocabulary), seed=0)
-        averaged = said.arrays[-1]
+        self.semantics = loaded.semantics
+        self.version = f"step {loaded.step}, {loaded.digest}"
+        if loaded.chosen:
+            self.version = f"step {loaded.chosen.step} ({loaded.chosen}), {loaded.digest}"
+        weights, _ = make_network(loaded.config, tuple(loaded.camera_sizes), len(loaded.vocabulary), seed=0)
+        averaged = loaded.arrays[-1]
         if weights.shape != averaged.shape:
             raise ConfigError(
                 f"{checkpoint}: its weights do not fit its configuration; another version of RoboXim wrote it"
             )
         self._weights = jnp.asarray(averaged)
         self._predict = _compiled(
-            said.config.FAMILY,
-            to_json(replace(said.config, seed=0)),
-            tuple(sorted(said.camera_sizes)),
-            len(said.vocabulary),
+            loaded.config.FAMILY,
+            to_json(replace(loaded.config, seed=0)),
+            tuple(sorted(loaded.camera_sizes)),
+            len(loaded.vocabulary),
         )
         self._begin("")
-        blank = {name: np.zeros((side, side, 3), np.uint8) for name, side in said.input_sizes.items()}
+        blank = {name: np.zeros((side, side, 3), np.uint8) for name, side in loaded.input_sizes.items()}
         self._infer(blank, Proprioception().vector())
 
     def reset(self, start: EpisodeStart) -> None:
@@ -96,30 +96,30 @@ class LearnedPolicy(BasePolicy):
     def act(self, window: ObservationWindow) -> ActionArray:
         """Return the next ``execute`` actions."""
         newest = window.newest
-        said = self._infer(newest.images, newest.proprio.vector())
+        prediction = self._infer(newest.images, newest.proprio.vector())
         actions = np.zeros((self.horizon, 7), np.float32)
-        actions[:, :6] = np.asarray(said.motion[-1, : self.horizon]) * self._said.stats.motion_scale
-        opening = np.clip(np.asarray(said.opening[-1, : self.horizon]), CLOSED_BELOW, 1.0)
-        closed = np.asarray(said.closed[-1, : self.horizon]) > 0
+        actions[:, :6] = np.asarray(prediction.motion[-1, : self.horizon]) * self._loaded.stats.motion_scale
+        opening = np.clip(np.asarray(prediction.opening[-1, : self.horizon]), CLOSED_BELOW, 1.0)
+        closed = np.asarray(prediction.closed[-1, : self.horizon]) > 0
         actions[:, 6] = np.where(closed, 0.0, opening)
         self._memory.commanded(bool(closed[-1]))
         return actions
 
     def _begin(self, instruction: str) -> None:
-        said = self._said
+        loaded = self._loaded
         self._words = (
-            embedding(instruction) if said.config.sentences
-            else word_indices(instruction, said.vocabulary, said.word_count)
+            embedding(instruction) if loaded.config.sentences
+            else word_indices(instruction, loaded.vocabulary, loaded.word_count)
         )  # fmt: skip
         self._seen: list[Inputs] = []
-        self._memory = GraspMemory(self._said.empty)
+        self._memory = GraspMemory(self._loaded.empty)
 
     def _infer(self, images: Mapping[str, Images], proprio: Floats) -> Prediction:
-        pixels = {name: resized(images[name], side, side)[None] for name, side in self._said.input_sizes.items()}
+        pixels = {name: resized(images[name], side, side)[None] for name, side in self._loaded.input_sizes.items()}
         state = np.concatenate([proprio_features(proprio), self._memory.observe(proprio)])
         yaw = tool_yaw(proprio)
         inputs = Inputs(
-            images=self._look(pixels), state=jnp.asarray(self._said.stats.normalize_state(state))[None],
+            images=self._look(pixels), state=jnp.asarray(self._loaded.stats.normalize_state(state))[None],
             heading=jnp.asarray([[np.cos(yaw), np.sin(yaw)]], jnp.float32), words=jnp.asarray(self._words)[None],
         )  # fmt: skip
         prediction: Prediction = self._predict(self._weights, self._with_history(inputs))
@@ -127,7 +127,7 @@ class LearnedPolicy(BasePolicy):
 
     def _look(self, pixels: Mapping[str, Images]) -> dict[str, Array]:
         """Return what the network sees of pictures of shape (1, side, side, 3)."""
-        if not self._said.config.ENCODER:
+        if not self._loaded.config.ENCODER:
             return {name: jnp.asarray(picture, jnp.float32) / 255.0 - 0.5 for name, picture in pixels.items()}
         return {
             f"{name}/{stride}": array for name, picture in pixels.items() for stride, array in encode(picture).items()
@@ -135,7 +135,7 @@ class LearnedPolicy(BasePolicy):
 
     def _with_history(self, newest: Inputs) -> Inputs:
         """Return the last observations as one window; before the first one, it is repeated and marked as absent."""
-        frames = self._said.config.frames
+        frames = self._loaded.config.frames
         if frames == 1:
             return newest
         self._seen = [*self._seen, newest][-frames:]

@@ -92,7 +92,7 @@ class Samples(eqx.Module):
             targets=jnp.asarray(stats.normalize_target(data.targets)), ends=jnp.asarray(data.ends),
             grasps=jnp.asarray(data.grasps, jnp.int32), least=jnp.asarray(data.least_opening),
             released=jnp.asarray(data.released), failed=jnp.asarray(data.failed),
-            words=jnp.asarray(data.words if sentences is None else data.said),
+            words=jnp.asarray(data.words if sentences is None else data.instruction),
             sentences=None if sentences is None else jnp.asarray(sentences),
             mean=jnp.asarray(stats.state_mean), scale=jnp.asarray(stats.state_scale),
             rise=jnp.asarray(rise, jnp.float32), empty=jnp.asarray(data.empty, jnp.float32),
@@ -177,9 +177,9 @@ def augmentation(config: LearningConfig, cameras: tuple[str, ...], step: int, ba
     return {name: jnp.asarray(value) for name, value in draws.items()}
 
 
-def _shifted(pixels: Array, offsets: Array, most: int) -> Array:
+def _shifted(pixels: Array, offsets: Array, max_shift: int) -> Array:
     side = pixels.shape[1]
-    padded = jnp.pad(pixels, ((0, 0), (most, most), (most, most), (0, 0)), mode="edge")
+    padded = jnp.pad(pixels, ((0, 0), (max_shift, max_shift), (max_shift, max_shift), (0, 0)), mode="edge")
     cut: Callable[..., Array] = jax.vmap(
         lambda image, offset: jax.lax.dynamic_slice(image, (offset[0], offset[1], 0), (side, side, 3))
     )
@@ -188,12 +188,14 @@ def _shifted(pixels: Array, offsets: Array, most: int) -> Array:
 
 def loss_of(network: Network, inputs: Inputs, wanted: Wanted, config: LearningConfig) -> tuple[Array, dict[str, Array]]:
     """Return the loss and its parts."""
-    said: Prediction = network(inputs)
-    move = jnp.mean(optax.huber_loss(said.motion, wanted.motion))
+    prediction: Prediction = network(inputs)
+    move = jnp.mean(optax.huber_loss(prediction.motion, wanted.motion))
     closed = (wanted.opening < CLOSED_BELOW).astype(jnp.float32)
-    grip = jnp.mean(optax.sigmoid_binary_cross_entropy(said.closed, closed))
-    wide = jnp.mean((1 - closed) * (said.opening - wanted.opening) ** 2)
-    aims = [jnp.mean(optax.huber_loss(target, wanted.target)) for target in (said.target, *said.camera_targets)]
+    grip = jnp.mean(optax.sigmoid_binary_cross_entropy(prediction.closed, closed))
+    wide = jnp.mean((1 - closed) * (prediction.opening - wanted.opening) ** 2)
+    aims = [
+        jnp.mean(optax.huber_loss(target, wanted.target)) for target in (prediction.target, *prediction.camera_targets)
+    ]
     aim = aims[0] + sum(aims[1:]) * (0.5 / max(1, len(aims) - 1))
     loss = move + config.gripper_weight * (grip + wide) + config.target_weight * aim
     return loss, {"loss": loss, "move": move, "grip": grip, "aim": aims[0]}

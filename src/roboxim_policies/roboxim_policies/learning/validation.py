@@ -63,8 +63,8 @@ def validate(checkpoint: Checkpoint, data: Demonstrations) -> ValidationErrors:
     def predict(batch: jax.Array, draws: dict[str, Any]) -> tuple[Prediction, Wanted]:
         inputs, wanted = samples.draw(batch, draws, config)
         newest = slice(config.frames - 1, None, config.frames)
-        said: Prediction = jax.tree.map(lambda array: array[newest], network(inputs))
-        return said, jax.tree.map(lambda array: array[newest], wanted)
+        predictions: Prediction = jax.tree.map(lambda array: array[newest], network(inputs))
+        return predictions, jax.tree.map(lambda array: array[newest], wanted)
 
     def judged(part: Any) -> tuple[Prediction, Wanted]:
         batch, draws = _undisturbed(supply, cameras, part)
@@ -72,17 +72,17 @@ def validate(checkpoint: Checkpoint, data: Demonstrations) -> ValidationErrors:
         return found
 
     chunks = [judged(part) for part in np.split(np.arange(len(data)), range(BATCH, len(data), BATCH))]
-    said = jax.tree.map(lambda *parts: np.concatenate(parts), *(chunk[0] for chunk in chunks))
+    predictions = jax.tree.map(lambda *parts: np.concatenate(parts), *(chunk[0] for chunk in chunks))
     wanted = jax.tree.map(lambda *parts: np.concatenate(parts), *(chunk[1] for chunk in chunks))
-    target = np.asarray(said.target) * stats.target_scale + stats.target_mean
+    target = np.asarray(predictions.target) * stats.target_scale + stats.target_mean
     executed = slice(0, config.execute)
-    move = np.abs((said.motion - wanted.motion)[:, executed] * stats.motion_scale)
+    move = np.abs((predictions.motion - wanted.motion)[:, executed] * stats.motion_scale)
     distance = 1e3 * np.linalg.norm(target[:, :3] - data.targets[:, :3], axis=1)
     ticks = np.expm1(data.targets[:, 6])
     free = data.grasps == NONE
     near = free & (ticks >= NEAR_TICKS[0]) & (ticks <= NEAR_TICKS[1])
     yaw = 0.5 * np.rad2deg(np.abs(_angle(target[:, 4:6], data.targets[:, 4:6])))
-    closes, closed = np.asarray(said.closed) > 0, np.asarray(wanted.opening) < CLOSED_BELOW
+    closes, closed = np.asarray(predictions.closed) > 0, np.asarray(wanted.opening) < CLOSED_BELOW
     return ValidationErrors(
         grasp_mm=_quantile(distance[near], 0.5), grasp_p90_mm=_quantile(distance[near], 0.9),
         grasp_yaw_deg=_quantile(yaw[near], 0.9), release_mm=_quantile(distance[~free], 0.5),

@@ -69,11 +69,11 @@ class Network(eqx.Module):
         x = relu_layers([self.trunk], jnp.concatenate([read, seen.points, aims, common], axis=-1))
         target = self.target_head(jnp.concatenate([x, aims, common], axis=-1), inputs.heading)
         x = relu_layers(self.action_trunk, jnp.concatenate([x, target, common], axis=-1))
-        said = self.action_head(x).reshape(-1, self.chunk, 10)
-        horizontal = said[..., :2] + turned(said[..., 8:], inputs.heading[:, None])
+        action = self.action_head(x).reshape(-1, self.chunk, 10)
+        horizontal = action[..., :2] + turned(action[..., 8:], inputs.heading[:, None])
         return Prediction(
-            motion=jnp.concatenate([horizontal, said[..., 2:6]], axis=-1), closed=said[..., 6], opening=said[..., 7],
-            target=target, camera_targets=seen.camera_targets,
+            motion=jnp.concatenate([horizontal, action[..., 2:6]], axis=-1), closed=action[..., 6],
+            opening=action[..., 7], target=target, camera_targets=seen.camera_targets,
         )  # fmt: skip
 
     def _through_time(self, tokens: Array, present: Array | None) -> Array:

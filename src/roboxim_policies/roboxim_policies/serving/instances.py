@@ -15,15 +15,15 @@ T = TypeVar("T")
 class Instances(Generic[T]):
     """Instances that sessions take and give back; more are made when all are taken."""
 
-    def __init__(self, first: T, make: Callable[[], T], *, most: int) -> None:
+    def __init__(self, first: T, make: Callable[[], T], *, max_instances: int) -> None:
         """Start with one instance.
 
         Args:
             first: The first instance.
             make: Makes another one.
-            most: Largest number of sessions at the same time.
+            max_instances: Largest number of sessions at the same time.
         """
-        self._make, self._most = make, most
+        self._make, self._most = make, max_instances
         self._free = [first]
         self._open = 0
         self._lock = threading.Lock()

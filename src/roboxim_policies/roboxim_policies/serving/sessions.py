@@ -141,7 +141,7 @@ class Sessions:
                 f"'{self.convention.name}' has {', '.join(cameras) or 'none'}"
             )
         _require_convertible(self.description, self.convention)
-        self._instances = Instances(first, lambda: GuardedPolicy(make()), most=MOST_SESSIONS)
+        self._instances = Instances(first, lambda: GuardedPolicy(make()), max_instances=MOST_SESSIONS)
 
     @contextmanager
     def session(self) -> Iterator[Session]:
@@ -265,8 +265,8 @@ class Session:
         """Return whether the tool is elsewhere than the actions since the last request can have moved it."""
         if self._last is None:
             return False
-        most = JUMP * self._guard.description.semantics.max_translation_m * self._last[3]
-        return bool(np.linalg.norm(np.array(measured.tcp_position) - self._last[:3]) > most)
+        max_jump = JUMP * self._guard.description.semantics.max_translation_m * self._last[3]
+        return bool(np.linalg.norm(np.array(measured.tcp_position) - self._last[:3]) > max_jump)
 
     def _row(self, window: ObservationWindow) -> Floats:
         """Return the action of the window's tick, shape (1, D); asks the policy only when its chunk is executed."""

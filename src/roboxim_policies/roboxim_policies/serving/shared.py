@@ -57,7 +57,7 @@ class SharedSessions:
                 "wire carries; leave --policy-servers out"
             )
         self.batcher = Batcher(type(first)) if answers_batches(type(first)) else None
-        self._instances = Instances(first, lambda: _another(first) or make(), most=MOST_SESSIONS)
+        self._instances = Instances(first, lambda: _another(first) or make(), max_instances=MOST_SESSIONS)
 
     @contextmanager
     def session(self) -> Iterator[GuardedPolicy]:

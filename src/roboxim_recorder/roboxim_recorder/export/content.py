@@ -169,9 +169,11 @@ class Content:
     def describe(self, sources: Sequence[Source]) -> Description:
         """Return the description of a dataset of these bags."""
         skills = tuple(sorted({source.info.task.skill for source in sources}))
-        said, action = self.semantics, self.action_names
+        semantics, action = self.semantics, self.action_names
         meaning = f"{self.actions.control} in {self.actions.frame}, {self.actions.rotation}"
-        gripper = f", gripper {said.gripper}" if said else f", in the units of convention '{self.convention.name}'"
+        gripper = (
+            f", gripper {semantics.gripper}" if semantics else f", in the units of convention '{self.convention.name}'"
+        )
         return Description(
             features=Features(
                 cameras=self.sizes, keys=self.keys, depth=self.depth, segmentation=self.segmentation, action=action,
@@ -180,7 +182,7 @@ class Content:
             fps=self.convention.rate_hz,
             robot=BETWEEN_ROBOTS.join(self.robots),
             joint_names=self.joint_names,
-            semantics=said,
+            semantics=semantics,
             skills=skills,
             parts=self.parts,
             text=(

@@ -94,11 +94,11 @@ class Selection:
         for text in self.where:
             Condition.parse(text)
         Shard.parse(self.shard)
-        said = {
+        given = {
             "cameras": self.cameras, "image_width": self.image_width, "actions": self.actions, "state": self.state,
             "rate_hz": self.rate_hz,
         }  # fmt: skip
-        if self.convention and (twice := [name for name, value in said.items() if value]):
+        if self.convention and (twice := [name for name, value in given.items() if value]):
             raise InvalidRequestError(
                 f"the convention '{self.convention}' says images, state, actions and rate; leave out "
                 f"{', '.join(twice)}, or write a convention of your own"

@@ -261,7 +261,7 @@ def scalar_from_json(text: str) -> str | float | int | bool:
         InvalidRequestError: When it is anything else.
     """
     try:
-        value = parse_json(text, source="the value", most=limits.SHORT_TEXT_CHARACTERS)
+        value = parse_json(text, source="the value", max_bytes=limits.SHORT_TEXT_CHARACTERS)
     except ConfigError as error:
         problem = f": {error}"
     else:

@@ -123,9 +123,9 @@ def _other_colors(task: TaskSpec, library: ModelLibrary) -> Iterator[Change]:
             replace(e, modifiers={**e.modifiers, "color": color}) if e.name == thing.entity else e
             for e in scene.entities
         )
-        said = task.instruction.replace(f"{now} {thing.name}", f"{color} {thing.name}")
+        instruction = task.instruction.replace(f"{now} {thing.name}", f"{color} {thing.name}")
         return (
-            replace(task, objects={**task.objects, role: painted}, instruction=said),
+            replace(task, objects={**task.objects, role: painted}, instruction=instruction),
             replace(scene, entities=entities),
         )
 
@@ -162,10 +162,10 @@ def _nominal_physics(scene: SceneSpec, nominal: SceneSpec) -> Iterator[Change]:
 
 
 def _first_words(task: TaskSpec, library: ModelLibrary) -> Iterator[Change]:
-    said = canonical_instruction(task, library)
-    if said and said != task.instruction:
+    canonical = canonical_instruction(task, library)
+    if canonical and canonical != task.instruction:
         yield Change(
-            name="words", words=f"told '{said}'", apply=lambda t, s, _: (replace(t, instruction=said), s)
+            name="words", words=f"told '{canonical}'", apply=lambda t, s, _: (replace(t, instruction=canonical), s)
         )  # fmt: skip
 
 

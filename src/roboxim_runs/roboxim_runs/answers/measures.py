@@ -51,8 +51,8 @@ def scene_measures(task: TaskSpec, scene: SceneSpec, library: ModelLibrary) -> d
     shifts = [shift for camera in scene.cameras if (shift := _shift(camera.name, camera.pose.position)) is not None]
     if shifts:
         found["camera"] = max(shifts)
-    said = canonical_instruction(task, library)
-    found["paraphrased"] = float(bool(said) and said != task.instruction)
+    canonical = canonical_instruction(task, library)
+    found["paraphrased"] = float(bool(canonical) and canonical != task.instruction)
     return found
 
 

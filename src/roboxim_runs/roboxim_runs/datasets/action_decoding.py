@@ -56,10 +56,10 @@ class ActionDecoder:
         semantics = episode.semantics
         if semantics is None and convention is None:
             raise InvalidRequestError("the dataset does not say what its actions mean")
-        said = semantics or (convention.semantics if convention else ActionSemantics())
-        self.rate_hz = said.rate_hz or episode.fps or scene.control_rate_hz
+        declared = semantics or (convention.semantics if convention else ActionSemantics())
+        self.rate_hz = declared.rate_hz or episode.fps or scene.control_rate_hz
         """Control rate of the actions [Hz]."""
-        self.semantics = replace(said, rate_hz=self.rate_hz)
+        self.semantics = replace(declared, rate_hz=self.rate_hz)
         """Meaning of the actions."""
         self.executed = self.semantics.executed(self.rate_hz)
         """Meaning of the actions that the simulator executes."""

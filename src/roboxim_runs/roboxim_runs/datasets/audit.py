@@ -188,13 +188,13 @@ def _entries(path: Path, config: AuditConfig) -> tuple[int, Iterator[_Entry], Ex
     """Return the number of episodes, the episodes one after another, and what they should be or why nothing says it."""
     if not path.exists():
         raise ConfigError(f"no such folder: {path}; expected a run, a folder of bags, or a dataset")
-    most = config.episodes or None
+    max_entries = config.episodes or None
     if holds_bags(path):
-        bags = ([path] if path.is_file() else list(run_bags(path).paths))[:most]
+        bags = ([path] if path.is_file() else list(run_bags(path).paths))[:max_entries]
         why = "bags are what was recorded; a dataset is compared with them"
         return len(bags), (_Entry(name=bag.name, bag=bag) for bag in bags), why
     dataset = open_dataset(path)
-    count = min(len(dataset), most or len(dataset))
+    count = min(len(dataset), max_entries or len(dataset))
     found = _Bags(config.bags)
     expected: Expected | str = NO_EXPECTED
     if config.against is not None:
@@ -296,8 +296,8 @@ def _arm(episode: Episode, ports: TruthPorts) -> ArmKinematics | None:
 class _Pictures:
     """Takes the pictures of the first findings of each check."""
 
-    def __init__(self, most: int) -> None:
-        self._most = most
+    def __init__(self, max_pictures: int) -> None:
+        self._most = max_pictures
         self._pictured: Counter[str] = Counter()
         self._found: Counter[str] = Counter()
         self.taken: dict[tuple[str, int], list[Picture]] = {}

@@ -241,11 +241,11 @@ class _Prober:
         start = _success(info)
         terminated = truncated = False
         refused = ""
-        said = (instruction or "") if words else ""
+        words_given = (instruction or "") if words else ""
         following = None if callable(actions) else iter(actions)
         while not (terminated or truncated) and len(rewards) < self._config.limit:
             if following is None:
-                action = actions(observation, said)  # type: ignore[operator]
+                action = actions(observation, words_given)  # type: ignore[operator]
             elif (action := next(following, None)) is None:
                 break
             try:

@@ -162,8 +162,8 @@ def action_box(semantics: ActionSemantics, robot: RobotModel, rate_hz: float) ->
     """
     limits = robot.limits
     if semantics.control == ControlMode.END_EFFECTOR_DELTA:
-        most = [semantics.max_translation_m] * 3 + [semantics.max_rotation_rad] * 3
-        low, high = [-number for number in most], most
+        bound = [semantics.max_translation_m] * 3 + [semantics.max_rotation_rad] * 3
+        low, high = [-number for number in bound], bound
     elif semantics.control == ControlMode.JOINT_POSITION:
         low, high = list(limits.lower), list(limits.upper)
     elif semantics.control.is_joint_space:

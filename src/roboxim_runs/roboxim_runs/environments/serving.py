@@ -36,7 +36,7 @@ class EnvironmentServer:
     """A server of environments, in threads of its own; a context manager. Web pages are refused."""
 
     def __init__(
-        self, *, host: str = "127.0.0.1", port: int = 8765, most: int = 8,
+        self, *, host: str = "127.0.0.1", port: int = 8765, max_environments: int = 8,
         log: Callable[[str], None] = lambda text: None,
     ) -> None:  # fmt: skip
         """Prepare a server.
@@ -44,12 +44,12 @@ class EnvironmentServer:
         Args:
             host: Address to listen at. Whoever connects can run episodes.
             port: Port to listen at; 0: any.
-            most: Largest number of environments at the same time.
+            max_environments: Largest number of environments at the same time.
             log: Receives a line for each connection and each error.
         """
         self.host, self.port = host, port
-        self._most, self._log = most, log
-        self._places = threading.Semaphore(most)
+        self._most, self._log = max_environments, log
+        self._places = threading.Semaphore(max_environments)
         self._connections: set[Any] = set()
         self._stops = False
         self._thread: threading.Thread | None = None

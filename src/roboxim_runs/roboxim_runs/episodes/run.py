@@ -467,12 +467,12 @@ def _describe_progress(folder: RunFolder) -> str:
     )
 
 
-def failures(results: Iterable[EpisodeResult], most: int = 10) -> list[str]:
+def failures(results: Iterable[EpisodeResult], max_items: int = 10) -> list[str]:
     """Return a line for each episode that did not succeed, with the reason.
 
     Args:
         results: The results.
-        most: Number of lines at most.
+        max_items: Number of lines at most.
     """
-    failed = itertools.islice((result for result in results if result.outcome != "success"), most)
+    failed = itertools.islice((result for result in results if result.outcome != "success"), max_items)
     return [f"{result.episode_id}: {result.reason}" + f": {result.message}" * bool(result.message) for result in failed]

@@ -106,8 +106,8 @@ def films_of(bag: Path, options: FilmOptions) -> tuple[Film, Film] | None:
         return None
     tick_ms = 1000.0 / _course(bag).info.scene.control_rate_hz
     return (
-        film_strip(frames, most=options.frames, height=options.height),
-        film_strip(frames, most=None, height=FILM_HEIGHT, frame_ms=tick_ms),
+        film_strip(frames, max_frames=options.frames, height=options.height),
+        film_strip(frames, max_frames=None, height=FILM_HEIGHT, frame_ms=tick_ms),
     )
 
 

@@ -55,10 +55,10 @@ def compare_evaluations(folders: Sequence[Path], out: Path, *, film: FilmOptions
     film = film or next(iter(records.values())).film
     runs, place = shown_runs(found, out, film=film, trained=trained, by_scene=True)
     shared = set.intersection(*({run.scene(result) for result in run.results} for run in runs))
-    most = max(len(run.results) for run in runs)
-    warnings = [] if len(shared) == most else [
-        f"{len(shared)} of {most} scenes were met by all policies. Rates are over all episodes of each; comparisons "
-        "are over the scenes that both met."
+    episodes = max(len(run.results) for run in runs)
+    warnings = [] if len(shared) == episodes else [
+        f"{len(shared)} of {episodes} scenes were met by all policies. Rates are over all episodes of each; "
+        "comparisons are over the scenes that both met."
     ]  # fmt: skip
     report = Report(
         title=f"{listed(records)} side by side", runs=runs, facts=facts, versions={}, place=place, warnings=warnings,

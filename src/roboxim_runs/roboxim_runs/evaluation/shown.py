@@ -73,8 +73,8 @@ def shown_runs(
                 outcomes.setdefault(scenes[name][episode.episode_id], []).append(episode.outcome)
         if missing := set(film.only) - set(outcomes):
             raise ConfigError(f"no episode of scene {', '.join(sorted(missing))} is recorded, so there is no film")
-        most = max(map(len, outcomes.values()), default=0)
-        by_all = {scene: met for scene, met in outcomes.items() if len(met) == most}
+        longest = max(map(len, outcomes.values()), default=0)
+        by_all = {scene: met for scene, met in outcomes.items() if len(met) == longest}
         chosen = set(film.only or chosen_scenes(by_all, film.scenes))
         shown = {
             name: {scenes[name][e.episode_id]: bags[name] / e.bag for e in episodes

@@ -170,11 +170,11 @@ def _shortened(file: Path, draft: Path) -> tuple[Path, str] | None:
     One that has none already is its own draft. None: the file is no such checkpoint of this version.
     """
     try:
-        said = read_description(file)
+        description = read_description(file)
         from roboxim_policies.learning.checkpoint import ORIGINAL, policy_only  # importing JAX takes a second
 
-        if ORIGINAL in said:
-            return file, str(said[ORIGINAL])
+        if ORIGINAL in description:
+            return file, str(description[ORIGINAL])
         draft.write_bytes(policy_only(file))
     except (ConfigError, KeyError, TypeError):
         return None
@@ -229,14 +229,14 @@ def _require_bounds(archive: tarfile.TarFile, file: Path) -> None:
     Raises:
         ConfigError: Naming the file at which it exceeds the bounds.
     """
-    most = MOST_FACTOR * file.stat().st_size + LARGEST_MANIFEST
+    max_bytes = MOST_FACTOR * file.stat().st_size + LARGEST_MANIFEST
     total = 0
     for number, member in enumerate(archive, start=1):
         total += member.size
-        if total > most or number > MOST_FILES:
+        if total > max_bytes or number > MOST_FILES:
             raise ConfigError(
                 f"{file} is no pack: it has {file.stat().st_size / 1e6:.1f} MB and would unpack to more than "
-                f"{most / 1e6:.0f} MB or {MOST_FILES} files, at {limits.echo(member.name)}"
+                f"{max_bytes / 1e6:.0f} MB or {MOST_FILES} files, at {limits.echo(member.name)}"
             )
 
 

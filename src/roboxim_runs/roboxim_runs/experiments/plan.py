@@ -88,10 +88,10 @@ def _named_by_user(design: Design) -> str:
 def _unknown(design: Design, rates: Rates | None, trainings: int) -> str:
     if rates is None:
         return NO_RATES
-    most = trainings_at_once(design, trainings)
+    at_once = trainings_at_once(design, trainings)
     return (
-        f"unknown: the rate of {most} trainings at a time was not measured; 'roboxim experiment calibrate --trainings "
-        f"{most}' measures it"
+        f"unknown: the rate of {at_once} trainings at a time was not measured; 'roboxim experiment calibrate "
+        f"--trainings {at_once}' measures it"
     )
 
 

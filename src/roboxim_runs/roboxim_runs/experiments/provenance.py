@@ -224,14 +224,14 @@ class Attestations:
             ConfigError: When a key is wrong, or the training used another dataset than it was given.
         """
         known = {"steps": steps} if steps and here else {}
-        said = {"recipe": {**known, **self.recipe}, "pretraining": self.pretraining, "exposure": self.exposure}
+        attested = {"recipe": {**known, **self.recipe}, "pretraining": self.pretraining, "exposure": self.exposure}
         for key in (name.rpartition(".")[0], name):
             own = dict(self.trainings.get(key, {}))
             recipe = own.pop("recipe", {})
             if not isinstance(recipe, Mapping):
                 raise ConfigError(f"{ATTEST_FILE}: trainings.{key}.recipe must be a mapping, got {recipe!r}")
-            said = {**said, **own, "recipe": {**said["recipe"], **recipe}}  # type: ignore[dict-item]
-        attest: Attestation = from_plain(said, Attestation, source=f"{ATTEST_FILE}, training {name}")
+            attested = {**attested, **own, "recipe": {**attested["recipe"], **recipe}}  # type: ignore[dict-item]
+        attest: Attestation = from_plain(attested, Attestation, source=f"{ATTEST_FILE}, training {name}")
         recipe = {key: value for key, value in attest.recipe.items() if value not in UNSAID}
         if attest.dataset_sha256 and dataset_sha256 and attest.dataset_sha256 != dataset_sha256:
             raise ConfigError(

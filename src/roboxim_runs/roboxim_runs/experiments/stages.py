@@ -201,7 +201,7 @@ class Stages:
     def _prove_training(self, stage: Stage, stages: Mapping[str, Stage]) -> None:
         claims = [self._claim(stages[need]) for need in stage.needs]
         found = prove_training(claims, as_json(stage.inputs["mix"]), stage.inputs["unseen"], self._reading(stage))
-        self._store(stage, found, {}, None, most=0.0)
+        self._store(stage, found, {}, None, max_faults=0.0)
 
     def _claim(self, export: Stage) -> DatasetClaim:
         source = self._folder(export.needs[0])
@@ -266,7 +266,7 @@ class Stages:
         found: Tally,
         excluded: Mapping[str, Sequence[int]],
         again: Sequence[Mapping[str, Any]] | None,
-        **most: float,
+        **limits: float,
     ) -> None:
         """Write a proof, and refuse it when too much failed. Faults that are tolerated are stated.
 
@@ -275,7 +275,7 @@ class Stages:
         """
         folder = self._folder(stage.name)
         folder.mkdir(parents=True, exist_ok=True)
-        refusal = found.refusal(**most)
+        refusal = found.refusal(**limits)
         if found.faults and not refusal:
             found += Tally(statements=(self._tolerated(stage, found, excluded),))
         content = {**to_plain(found), "excluded": excluded, "judged_again": again}

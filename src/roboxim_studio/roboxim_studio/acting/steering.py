@@ -109,16 +109,16 @@ def action_of(
     """
     speeds = speeds or Speeds()
     factor = (SLOW if steering.slow else 1.0) / rate_hz
-    most = np.array([speeds.translation_m_s] * 3 + [speeds.rotation_rad_s] * 3) * factor
+    bound = np.array([speeds.translation_m_s] * 3 + [speeds.rotation_rad_s] * 3) * factor
     directions = np.array(steering.directions())
     if not directions.any() and steering.target is not None:
         delta = np.array(delta_between(commanded, steering.target, opening), dtype=float)[:6]
         for part in (slice(0, 3), slice(3, 6)):
             size = float(np.linalg.norm(delta[part]))
-            if size > most[part][0]:
-                delta[part] *= most[part][0] / size
+            if size > bound[part][0]:
+                delta[part] *= bound[part][0] / size
     else:
-        delta = directions * most
+        delta = directions * bound
     return np.array([*delta, opening], np.float32)
 
 

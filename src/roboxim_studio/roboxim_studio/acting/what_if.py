@@ -90,10 +90,10 @@ def ask(
     sim = Disturbing(graph.sim, film, question, require_same=same)
     info = film.info
     seed = SeedPath(run_seed=info.run_seed, purpose=info.purpose, index=info.index, attempt=info.attempt)
-    most = film.result.steps if actor is None else question.tick + MORE_STEPS
-    draw = Draw(task=task, scene=scene, max_steps=most)
+    max_ticks = film.result.steps if actor is None else question.tick + MORE_STEPS
+    draw = Draw(task=task, scene=scene, max_steps=max_ticks)
     config = RunConfig(
-        run_seed=info.run_seed, purpose=info.purpose, max_steps=most, rate_hz=scene.control_rate_hz,
+        run_seed=info.run_seed, purpose=info.purpose, max_steps=max_ticks, rate_hz=scene.control_rate_hz,
         stop_on_success=actor is not None,
     )  # fmt: skip
     other = take(graph, draw, handed, seed, config=config, sim=sim, on_tick=on_tick, cancelled=cancelled)

@@ -149,11 +149,11 @@ class EpisodePanel:
             self._view.show(state, images)
             if int(self._slider.value) != seq:
                 self._slider.value = seq
-            said = "solved" if verdict.success else f"failed: {verdict.reason}" if verdict.failed else verdict.reason
+            outcome = "solved" if verdict.success else f"failed: {verdict.reason}" if verdict.failed else verdict.reason
             self._state.content = markup.facts(
                 [
                     ("tick", f"{seq} of {len(film) - 1}, {state.stamp_ns / 1e9:.2f} s"), ("phase", step.phase),
-                    ("verdict", said), ("state hash", state.state_hash),
+                    ("verdict", outcome), ("state hash", state.state_hash),
                     ("contacts", _contacts(state) or "none"),
                 ],
                 "tick-facts",
@@ -187,9 +187,9 @@ class EpisodePanel:
             last, was = self.judgement.verdicts[-1], recorded[-1]
             other = sum(new.success != old.success for new, old in zip(self.judgement.verdicts, recorded, strict=True))
             end = "success" if last.success else f"failure, {last.reason}"
-            said = "success" if was.success else f"failure, {was.reason}"
+            outcome = "success" if was.success else f"failure, {was.reason}"
             self._judged.content = markup.paragraph(
-                f"with these thresholds: {end}\nrecorded: {said}\n"
+                f"with these thresholds: {end}\nrecorded: {outcome}\n"
                 f"{other} of {len(recorded)} ticks are judged otherwise",
                 "judged-again",
             )

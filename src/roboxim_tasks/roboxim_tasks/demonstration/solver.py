@@ -301,12 +301,12 @@ def _roll_out(
         if step.clipped or step.left_workspace or step.unreached or off > MAX_TRACKING_ERROR_M:
             word = "left_workspace" if step.left_workspace else "clipped" if step.clipped else "unreachable"
             place = _short(point.pose)
-            said = {
+            outcome = {
                 "left_workspace": f"the motion leaves the workspace at {place}",
                 "clipped": f"a step is too large at {place}",
                 "unreachable": f"{1000.0 * off:.0f} mm short of {place}",
             }
-            return state, path, _Blocked(stage=point.stage, reason=f"{word} at {place}", cause=said[word])
+            return state, path, _Blocked(stage=point.stage, reason=f"{word} at {place}", cause=outcome[word])
     return state, path, None
 
 

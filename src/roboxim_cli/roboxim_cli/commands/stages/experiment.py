@@ -108,12 +108,14 @@ def plan(
         if benchmark
         else {name: load_experiment(name, scale, trainer=trainer)}
     )
-    most = {key: trainings if budget else _at_once(key, config, trainer, trainings) for key, config in configs.items()}
+    at_once = {
+        key: trainings if budget else _at_once(key, config, trainer, trainings) for key, config in configs.items()
+    }
     rates_of: dict[str, Rates | None] = {}
     for key, config in configs.items():
         rates_of[key] = known = stored_rates(config.image_size, Path(key).stem)
         if config.datasets and not no_probe:
-            rates_of[key] = _experiment_calibrate.probed(key, config, known, most[key])
+            rates_of[key] = _experiment_calibrate.probed(key, config, known, at_once[key])
     if budget:
         if None in rates_of.values():
             raise ConfigError("--budget needs this machine's rates: run 'roboxim experiment calibrate' first")

@@ -134,12 +134,12 @@ def _of_all(group: list[_Seen], weights: Values) -> Iterator[Finding]:
         )
 
 
-def _of_one(seen: _Seen, rows: Values, values: Values, most: float, weights: Values) -> Iterator[Finding]:
+def _of_one(seen: _Seen, rows: Values, values: Values, tolerance: float, weights: Values) -> Iterator[Finding]:
     """Say what is wrong with one episode."""
     chain = seen.chain
     drift = np.linalg.norm(np.cumsum(rows, axis=0), axis=1)
-    bad = np.flatnonzero(values > most)
-    if not len(bad) and float(drift.max(initial=0.0)) <= DRIFT * most:
+    bad = np.flatnonzero(values > tolerance)
+    if not len(bad) and float(drift.max(initial=0.0)) <= DRIFT * tolerance:
         return
     unit, per = chain.unit, chain.per_unit
     if len(bad):
@@ -152,7 +152,7 @@ def _of_one(seen: _Seen, rows: Values, values: Values, most: float, weights: Val
         worst = int(drift.argmax())
         text, ticks = f"{drift[worst] / per:.1f} {unit} in sum until tick {worst}", (0, worst)
     yield Finding(
-        text=f"{chain.name}: measured motion and actions differ by {text}{_guess(chain, weights, values > most)}",
+        text=f"{chain.name}: measured motion and actions differ by {text}{_guess(chain, weights, values > tolerance)}",
         episodes=(seen.name,),
         ticks=tuple(dict.fromkeys(ticks)),
         severity=Severity.WARNING if seen.failed else Severity.FAULT,

@@ -74,9 +74,9 @@ class WrongInstruction(AuditCheck):
 
     def look(self, episode: AuditEpisode) -> Iterator[Finding]:
         """Find instructions that are not carried out."""
-        said = episode.episode.instruction
+        instruction = episode.episode.instruction
         text = ""
-        if not said.strip():
+        if not instruction.strip():
             text = "the instruction is empty"
         elif episode.truth is not None and episode.truth.meaning is not None:
             if not episode.truth.meaning.ever and episode.episode.success is False:
@@ -84,11 +84,11 @@ class WrongInstruction(AuditCheck):
                     "the episode failed, so that its instruction is not carried out is no fault of it"
                 )
             if not episode.truth.meaning.ever:
-                text = f"'{said}' is true at no tick; {episode.truth.meaning.detail}"
+                text = f"'{instruction}' is true at no tick; {episode.truth.meaning.detail}"
         else:
             recorded = _recorded_instruction(episode)
-            if recorded != said:
-                text = f"it says '{said}', the recorded task is '{recorded}'"
+            if recorded != instruction:
+                text = f"it says '{instruction}', the recorded task is '{recorded}'"
         if text:
             last = len(episode.episode) - 1
             yield Finding(text=text, episodes=(episode.name,), ticks=(0, last // 2, last))

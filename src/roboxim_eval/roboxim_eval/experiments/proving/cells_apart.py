@@ -106,8 +106,8 @@ def _physics(held_out: Demand, other: Demand) -> bool:
 
 def _distractors(held_out: Demand, other: Demand) -> bool:
     """Their numbers exclude each other, one always has a model that the other never has, or no drawn one fits both."""
-    (least, most), (fewest, largest) = held_out.distractors, other.distractors
-    if largest < least or fewest > most:
+    (least, largest_allowed), (fewest, largest) = held_out.distractors, other.distractors
+    if largest < least or fewest > largest_allowed:
         return True
     for one, another in ((held_out, other), (other, held_out)):
         if not {*one.always} <= {*another.always, *another.others}:
@@ -179,14 +179,14 @@ def _instruction(held_out: Demand, other: Demand) -> bool:
 def _could_say(template: str, sentence: str, roles: Iterable[str]) -> bool:
     """Return whether a template may give a sentence of another one, in which names stand for any words."""
     names = {name for _, name, _, _ in Formatter().parse(sentence) if name}
-    said = "".join(literal + (f"<{name}>" if name else "") for literal, name, _, _ in Formatter().parse(sentence))
+    phrasing = "".join(literal + (f"<{name}>" if name else "") for literal, name, _, _ in Formatter().parse(sentence))
 
     def pattern(name: str) -> str:
         return rf"(?:[\w-]+ drawer of the )?<{re.escape(name)}>" if name in names & {*roles} else ".+"
 
     parts = Formatter().parse(template)
     wanted = "".join(re.escape(literal) + (pattern(name) if name else "") for literal, name, _, _ in parts)
-    return re.fullmatch(wanted, said) is not None
+    return re.fullmatch(wanted, phrasing) is not None
 
 
 def _any_apart(first: Mapping[str, Allowed], second: Mapping[str, Allowed]) -> bool:

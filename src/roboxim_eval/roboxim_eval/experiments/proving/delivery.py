@@ -405,8 +405,8 @@ def _texture(demand: Demand, shown: Shown) -> Iterator[str]:
 
 
 def _instruction(demand: Demand, shown: Shown) -> Iterator[str]:
-    said = [_filled(template, shown.descriptions) for template in demand.templates]
-    if said and not any(re.fullmatch(pattern, shown.instruction) for pattern in said):
+    expected = [_filled(template, shown.descriptions) for template in demand.templates]
+    if expected and not any(re.fullmatch(pattern, shown.instruction) for pattern in expected):
         templates = "' or '".join(demand.templates)
         named = ", ".join(f"{role} is the {text}" for role, text in shown.descriptions.items())
         yield f"the instruction is '{shown.instruction}', the cell demands '{templates}', where {named}"

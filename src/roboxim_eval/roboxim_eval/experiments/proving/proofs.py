@@ -89,22 +89,22 @@ class Tally:
         """Bags that fail a check."""
         return frozenset(fault.bag for fault in self.faults)
 
-    def refusal(self, most: float = MOST_FAULTS) -> str:
+    def refusal(self, max_faults: float = MOST_FAULTS) -> str:
         """Return why a run must stop, naming bags and figures; empty: it may go on.
 
         Args:
-            most: Share of faulty episodes that is tolerated. A training on another dataset never is.
+            max_faults: Share of faulty episodes that is tolerated. A training on another dataset never is.
         """
         if wrong := [fault for fault in self.faults if fault.check == PROOF_OF_TRAINING]:
             return "trainings read another dataset than the experiment gave them:\n" + "\n".join(
                 f"  {fault}" for fault in wrong
             )
         checked = max((n for _, n in self.checks.values()), default=0)
-        if len(self.faulty) <= most * checked:
+        if len(self.faulty) <= max_faults * checked:
             return ""
         named = "\n".join(f"  {fault}" for fault in self.faults[:NAMED])
         more = len(self.faults) - NAMED
-        limit = f"; {100 * most:g} % are tolerated" if most else ""
+        limit = f"; {100 * max_faults:g} % are tolerated" if max_faults else ""
         return f"{len(self.faulty)} of {checked} episodes do not show what their cell demands{limit}:\n{named}" + (
             f"\n  and {more} more" if more > 0 else ""
         )
@@ -377,12 +377,12 @@ def _exposures(demands: Mapping[str, Demand], closed: Sequence[str], episodes: S
                 f"{beside} of {len(same)} training episodes of {demand.skill} have the object of the held-out cell "
                 f"'{cell}' as a distractor"
             )
-        said = sum(
+        count = sum(
             any(_asks_for(demand, asked) and not _asks_for(demands[e.shown.cell], asked) for asked in e.asked)
             for e in episodes
         )
-        if said:
-            yield f"the instructions of {said} training episodes ask for the held-out cell '{cell}'"
+        if count:
+            yield f"the instructions of {count} training episodes ask for the held-out cell '{cell}'"
 
 
 def _asks_for(demand: Demand, asked: Demand) -> bool:

@@ -36,10 +36,10 @@ def learning_curve(
         curves: Condition to its points, by increasing steps.
         link: (condition, steps) to where the point leads; empty: nowhere.
     """
-    most = max(point.steps for points in curves.values() for point in points)
+    max_steps = max(point.steps for points in curves.values() for point in points)
 
     def x(steps: float) -> float:
-        return LEFT + (WIDTH - LEFT - RIGHT) * steps / most
+        return LEFT + (WIDTH - LEFT - RIGHT) * steps / max_steps
 
     def y(rate: float) -> float:
         return TOP + (HEIGHT - TOP - BOTTOM) * (1 - rate)

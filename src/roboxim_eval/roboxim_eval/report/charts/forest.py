@@ -106,10 +106,10 @@ def forest_bar(row: ForestRow, scale: Scale) -> Markup:
         "rect", x=-size, y=-size, width=2 * size, height=2 * size, class_=f"mark {row.kind}", transform="rotate(45)"
     )  # fmt: skip
     mark = element("svg", [square], x=_at(scale, row.value), y=middle, overflow="visible")
-    said = f"{row.label}: {100 * row.value:.0f} ({_end(row.low)} to {_end(row.high)})"
+    label = f"{row.label}: {100 * row.value:.0f} ({_end(row.low)} to {_end(row.high)})"
     if row.published is not None:
-        said += f", published {100 * row.published:.0f}"
-    return element("svg", [*parts, mark], width="100%", height=HEIGHT, class_="bar", role="img", aria_label=said)
+        label += f", published {100 * row.published:.0f}"
+    return element("svg", [*parts, mark], width="100%", height=HEIGHT, class_="bar", role="img", aria_label=label)
 
 
 def rate_bar(rate: SuccessRate) -> Markup:

@@ -147,8 +147,8 @@ def prove_training(claims: Sequence[DatasetClaim], mix: Any, unseen: Sequence[st
     text = json.dumps(mix)
     demands = demands_of(text)
     episodes = {claim.name: list(_episodes(open_dataset(claim.path), claim)) for claim in claims}
-    said = dict(pair for claim in claims for pair in episodes[claim.name])
-    jobs = [BagJob(bag=bag, mix="all", said=words) for bag, words in said.items()]
+    instructions = dict(pair for claim in claims for pair in episodes[claim.name])
+    jobs = [BagJob(bag=bag, mix="all", instruction=words) for bag, words in instructions.items()]
     known = {shown.bag: (shown, asked) for shown, asked in reading.read("proving datasets", jobs, {"all": text})}
     found = Tally()
     for claim in claims:
@@ -281,7 +281,7 @@ def prove_evaluation(arms: Sequence[ArmClaim], reading: Reading) -> tuple[Tally,
 
 def _changed(arms: Sequence[ArmClaim], demands: Mapping[str, Mapping[str, Demand]]) -> dict[str, tuple[str, ...]]:
     """Return the parts of the task that each condition changes; roles that only its instructions name are one too."""
-    named = {arm.condition: {cell: _roles_said(one) for cell, one in demands[arm.condition].items()} for arm in arms}
+    named = {arm.condition: {cell: _named_roles(one) for cell, one in demands[arm.condition].items()} for arm in arms}
     plain = next((named[arm.condition] for arm in arms if not arm.changed), {})
 
     def other(arm: ArmClaim) -> bool:
@@ -293,7 +293,7 @@ def _changed(arms: Sequence[ArmClaim], demands: Mapping[str, Mapping[str, Demand
     return {arm.condition: arm.changed + ((WORDS_SAY_OTHER_ROLES,) if other(arm) else ()) for arm in arms}
 
 
-def _roles_said(demand: Demand) -> set[frozenset[str]]:
+def _named_roles(demand: Demand) -> set[frozenset[str]]:
     """Return the names that the templates of a cell have in braces; one set if all have the same ones."""
     return {frozenset(n for _, n, _, _ in Formatter().parse(template) if n) for template in demand.templates}
 

@@ -26,7 +26,7 @@ class BagJob:
     """What the policy must receive as instruction; none: the task's."""
     latency_ticks: int = 0
     """Ticks by which each of its answers must be late."""
-    said: str | None = None
+    instruction: str | None = None
     """An instruction to read in its scene; none: nothing to read."""
 
 
@@ -49,7 +49,7 @@ class DeliveryWorker:
         wanted = from_plain(job, BagJob)
         demands = demands_of(self._mixes[wanted.mix], wanted.words, wanted.latency_ticks)
         shown = self._reader.read(Path(wanted.bag), demands.get, pictures=self._pictures)
-        asked = [] if wanted.said is None else self._reader.asked(Path(wanted.bag), wanted.said)
+        asked = [] if wanted.instruction is None else self._reader.asked(Path(wanted.bag), wanted.instruction)
         return {"shown": to_plain(shown), "asked": asked}
 
     def close(self) -> None:
