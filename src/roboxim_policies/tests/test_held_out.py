@@ -43,6 +43,7 @@ def test_episodes_are_trained_on_or_held_out(reading):
         reading.split(12, seed=0)
 
 
+@pytest.mark.thorough
 def test_the_policy_has_the_weights_with_the_lowest_held_out_loss_also_after_an_interruption(reading, tmp_path):
     whole = trainer(reading, HELD, tmp_path / "whole")
     losses = {}
