@@ -22,13 +22,15 @@ def _configured(cls: type[C], config: C | None, fields: dict[str, Any]) -> C:
     """Return a configuration made from keyword arguments, or a given configuration with fields replaced.
 
     Raises:
-        ConfigError: On an unknown field, or without a required one.
+        ConfigError: On an unknown field, without a required one, or on a configuration of another class.
     """
     known = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for name in fields:
         if name not in known:
             raise ConfigError(f"{cls.__name__} has no field '{name}'; {one_of(known, name)}")
     if config is not None:
+        if not isinstance(config, cls):
+            raise ConfigError(f"config must be of {cls.__name__}, got {type(config).__name__}")
         return dataclasses.replace(config, **fields)  # type: ignore[type-var]
     unset = dataclasses.MISSING
     required = [name for name, field in known.items() if field.default is unset and field.default_factory is unset]
@@ -79,8 +81,8 @@ generate = _by_fields("generate", generation.generate, generation.GenerationConf
 export_rlds = _by_fields("export_rlds", export_dataset, ExportConfig, "rlds")
 export_lerobot = _by_fields("export_lerobot", export_dataset, LeRobotConfig, "lerobot")
 export_hdf5 = _by_fields("export_hdf5", export_dataset, Hdf5Config, "hdf5")
-train_bc = _by_fields("train_bc", training.train_bc, training.BCConfig)
-train_rt1s = _by_fields("train_rt1s", training.train_rt1s, training.RT1SConfig)
-train_act = _by_fields("train_act", training.train_act, training.ACTConfig)
+train_bc = _by_fields("train_bc", training.train_policy, training.BCConfig)
+train_rt1s = _by_fields("train_rt1s", training.train_policy, training.RT1SConfig)
+train_act = _by_fields("train_act", training.train_policy, training.ACTConfig)
 evaluate = _by_fields("evaluate", evaluation.evaluate, evaluation.EvaluationConfig)
 rerender = _by_fields("rerender", rerendering.rerender, rerendering.RerenderConfig)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from roboxim_core.actions import (
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
 from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, Policy
 from roboxim_policies.base import POLICIES, BasePolicy
+from roboxim_policies.learning.families import FAMILIES
 from roboxim_policies.recorded_actions import load_actions
 
 DISTRIBUTIONS = ("gaussian", "uniform")
@@ -155,25 +156,16 @@ def _checked(actions: npt.ArrayLike | None) -> ActionArray:
         raise ConfigError(f"recorded {error}", ErrorCode.INVALID_CONFIG) from None
 
 
-@POLICIES.register("bc")
-def bc_policy(checkpoint: str | Path, *, execute: int = 0) -> Policy:
-    """Load a trained behaviour-cloning policy; imports JAX.
+def _learned(family: str) -> Callable[..., Policy]:
+    """Return what loads a trained policy of a family."""
 
-    Args:
-        checkpoint: Checkpoint file or the training's folder.
-        execute: Actions executed per request; 0: the checkpoint's configuration.
+    def load(checkpoint: str | Path, *, execute: int = 0) -> Policy:
+        from roboxim_policies.learning.policy import LearnedPolicy
 
-    Raises:
-        ConfigError: When the checkpoint is missing, damaged or of another version.
-    """
-    from roboxim_policies.learning.policy import LearnedPolicy
+        return LearnedPolicy(checkpoint, execute=execute, family=family)
 
-    return LearnedPolicy(checkpoint, execute=execute, family="bc")
-
-
-@POLICIES.register("rt1s")
-def rt1s_policy(checkpoint: str | Path, *, execute: int = 0) -> Policy:
-    """Load a trained policy of the family rt1s; imports JAX, needs ``roboxim[pretrained]``.
+    load.__name__ = load.__qualname__ = f"{family}_policy"
+    load.__doc__ = f"""Load a trained policy of the family {family}; imports JAX.
 
     Args:
         checkpoint: Checkpoint file or the training's folder.
@@ -181,25 +173,10 @@ def rt1s_policy(checkpoint: str | Path, *, execute: int = 0) -> Policy:
 
     Raises:
         ConfigError: When the checkpoint is missing, damaged, of another version or of another family.
-        UnavailableError: When a package of ``roboxim[pretrained]`` is not installed.
+        UnavailableError: When the family needs ``roboxim[pretrained]``, which is not installed.
     """
-    from roboxim_policies.learning.policy import LearnedPolicy
-
-    return LearnedPolicy(checkpoint, execute=execute, family="rt1s")
+    return load
 
 
-@POLICIES.register("act")
-def act_policy(checkpoint: str | Path, *, execute: int = 0) -> Policy:
-    """Load a trained policy of the family act; imports JAX, needs ``roboxim[pretrained]``.
-
-    Args:
-        checkpoint: Checkpoint file or the training's folder.
-        execute: Actions executed per request; 0: the checkpoint's configuration.
-
-    Raises:
-        ConfigError: When the checkpoint is missing, damaged, of another version or of another family.
-        UnavailableError: When a package of ``roboxim[pretrained]`` is not installed.
-    """
-    from roboxim_policies.learning.policy import LearnedPolicy
-
-    return LearnedPolicy(checkpoint, execute=execute, family="act")
+for _family in FAMILIES:
+    POLICIES.register(_family)(_learned(_family))

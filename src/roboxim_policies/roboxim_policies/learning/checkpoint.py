@@ -13,7 +13,8 @@ import hashlib
 import io
 import json
 import os
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -111,12 +112,17 @@ class Checkpoint:
     """Hash of the averaged weights, 16 hexadecimal digits."""
     arrays: list[npt.NDArray[Any]]
     """Arrays of (weights, optimiser state, averaged weights), in this order; see ``original_sha256``."""
+    started_from: Mapping[str, Any] = field(default_factory=dict)
+    """The checkpoint that the training began with: its ``digest``, ``step`` and, if it has one, ``pretraining``; empty:
+    the first weights were drawn."""
+    pretraining: Mapping[str, Any] = field(default_factory=dict)
+    """Name and exposure of a checkpoint of ``roboxim pretrain``; empty: it is another one."""
     original_sha256: str = ""
     """SHA-256 of the whole checkpoint's file, if this one has the averaged weights only; empty: it is whole."""
 
     @staticmethod
-    def identity_of(config: LearningConfig, data: Demonstrations) -> str:
-        """Return the hash of a training's configuration and data, which determine its result."""
+    def identity_of(config: LearningConfig, data: Demonstrations, started_from: Mapping[str, Any] | None = None) -> str:
+        """Return the hash of a training's configuration, data and start, which determine its result."""
         content = hashlib.blake2b(digest_size=8)
         for name, images in sorted(data.images.items()):
             content.update(f"{name}{images.shape}".encode())
@@ -127,6 +133,8 @@ class Checkpoint:
         if config.FAMILY != "bc":
             content.update(f"{config.FAMILY}{data.instructions}".encode())
             content.update(data.instruction.tobytes())
+        if started_from:
+            content.update(f"from {started_from['digest']}".encode())
         return f"{digest(replace(config, checkpoint_every=1))}-{content.hexdigest()}"
 
     def restore(self, state: Any) -> Any:
@@ -145,7 +153,7 @@ class Checkpoint:
 
 def save_checkpoint(
     path: Path, state: Any, *, step: int, config: LearningConfig, data: Demonstrations, stats: Statistics,
-    chosen: Chosen | None = None,
+    chosen: Chosen | None = None, started_from: Mapping[str, Any] | None = None,
 ) -> None:  # fmt: skip
     """Write a checkpoint to a temporary file and rename it, so that ``path`` is always complete.
 
@@ -158,6 +166,7 @@ def save_checkpoint(
         data: The training data.
         stats: Normalisation of the data.
         chosen: How the last array of the state was chosen; None: it is the average after ``step``.
+        started_from: See `Checkpoint.started_from`.
 
     Raises:
         OSError: When the disk is full.
@@ -167,6 +176,7 @@ def save_checkpoint(
         "format": FORMAT,
         **({} if config.FAMILY == "bc" else {"family": config.FAMILY}),
         **({} if chosen is None else {"chosen": asdict(chosen)}),
+        **({"started_from": dict(started_from)} if started_from else {}),
         "step": step,
         "config": to_plain(config),
         "stats": {name: value.tolist() for name, value in asdict(stats).items()},
@@ -178,7 +188,7 @@ def save_checkpoint(
         "semantics": to_plain(data.semantics),
         "robot": data.robot,
         "state_layout": list(STATE_NAMES),
-        "identity": Checkpoint.identity_of(config, data),
+        "identity": Checkpoint.identity_of(config, data, started_from),
         "digest": _digest(arrays[-1]),
         "episodes": data.episodes,
     }
@@ -191,7 +201,7 @@ def save_checkpoint(
     scratch.replace(path)
 
 
-def policy_only(path: Path) -> bytes:
+def policy_only(path: Path, pretraining: Mapping[str, Any] | None = None) -> bytes:
     """Return the content of a checkpoint that has what the policy needs, without the state of the training.
 
     It has the whole checkpoint's description and averaged weights, and the hash of its file. The policy acts the same;
@@ -199,6 +209,7 @@ def policy_only(path: Path) -> bytes:
 
     Args:
         path: The file of a whole checkpoint, or the folder of its training.
+        pretraining: What its description says about a pre-training, see `Checkpoint.pretraining`; None: nothing.
 
     Raises:
         ConfigError: When it is missing, damaged, of another version, or has the averaged weights only.
@@ -210,6 +221,8 @@ def policy_only(path: Path) -> bytes:
     if _digest(averaged) != whole.digest:
         raise ConfigError(f"{file} is damaged: its averaged weights have another hash than its description says")
     description = {**read_description(path), ORIGINAL: hashlib.sha256(file.read_bytes()).hexdigest()}
+    if pretraining:
+        description["pretraining"] = dict(pretraining)
     return _content(description, [averaged])
 
 
@@ -256,6 +269,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
         identity=description["identity"],
         digest=description["digest"],
         arrays=arrays,
+        started_from=description.get("started_from", {}),
+        pretraining=description.get("pretraining", {}),
         original_sha256=description.get(ORIGINAL, ""),
     )
 

@@ -66,6 +66,8 @@ class LearnedPolicy(BasePolicy):
         self.version = f"step {loaded.step}, {loaded.digest}"
         if loaded.chosen:
             self.version = f"step {loaded.chosen.step} ({loaded.chosen}), {loaded.digest}"
+        if loaded.started_from:
+            self.version += f", fine-tuned from {loaded.started_from['digest']}"
         weights, _ = make_network(loaded.config, tuple(loaded.camera_sizes), len(loaded.vocabulary), seed=0)
         averaged = loaded.arrays[-1]
         if weights.shape != averaged.shape:

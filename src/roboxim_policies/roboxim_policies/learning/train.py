@@ -29,6 +29,7 @@ from roboxim_policies.learning.data import Demonstrations
 from roboxim_policies.learning.families import config_class, make_network
 from roboxim_policies.learning.features import state_features
 from roboxim_policies.learning.samples import Samples, loss_of
+from roboxim_policies.learning.start import carried_statistics, carried_weights, record_of, require_start
 from roboxim_policies.learning.supply import Supply
 from roboxim_policies.learning.validation import HeldOut
 
@@ -80,6 +81,7 @@ class Trainer:
     def __init__(
         self, data: Demonstrations, config: LearningConfig, out: Path, *, resume: bool = True,
         encoding: Callable[[int, int], None] = lambda done, total: None, held_out: Demonstrations | None = None,
+        start: Checkpoint | None = None,
     ) -> None:  # fmt: skip
         """Prepare a training, or continue from the folder's checkpoint.
 
@@ -91,16 +93,25 @@ class Trainer:
             encoding: Called with (pictures done, pictures in all) while a pre-trained encoder reads the pictures.
             held_out: Demonstrations that choose the weights, assembled like ``data``; needed where the configuration
                 holds some out.
+            start: Checkpoint whose averaged weights and normalisation the training begins with; None: they are drawn
+                and measured.
 
         Raises:
-            ConfigError: When a checkpoint exists and ``resume`` is False, or the checkpoint belongs to another
-                configuration or dataset, or has no state to continue from, see `checkpoint.policy_only`.
+            ConfigError: When a checkpoint exists and ``resume`` is False; when it belongs to another configuration,
+                dataset or start, or has no state to continue from, see `checkpoint.policy_only`; or when ``start`` is
+                of another family or shape.
         """
         self.data, self.config, self.out = data, config, out
         self.path = out / CHECKPOINT
         self.cameras = tuple(sorted(data.images))
         self.stats = statistics(data)
-        weights, _ = make_network(config, self.cameras, len(data.vocabulary), config.seed)
+        self._started_from = record_of(start) if start else {}
+        if start:
+            require_start(start, config, data)
+            self.stats = carried_statistics(start, self.stats)
+            weights = carried_weights(start, config, data)
+        else:
+            weights, _ = make_network(config, self.cameras, len(data.vocabulary), config.seed)
         # State, step and choice are one value, so that an interruption cannot separate them.
         state: tuple[Any, ...] = (weights, _optimizer(config).init(weights), weights)
         self._at: tuple[Any, int, Chosen | None] = ((*state, weights) if config.held_out else state, 0, None)
@@ -120,7 +131,9 @@ class Trainer:
         if found.identity != self._identity():
             changes = differences(to_plain(found.config), to_plain(self.config), ignore=("checkpoint_every",))
             other = [f"another configuration ({changes})"] if changes else []
-            if found.identity.rpartition("-")[2] != self._identity().rpartition("-")[2]:
+            if found.started_from.get("digest") != self._started_from.get("digest"):
+                other.append("another start (--from)")
+            elif found.identity.rpartition("-")[2] != self._identity().rpartition("-")[2]:
                 other.append("another dataset")
             raise ConfigError(
                 f"{self.path} is of {' and '.join(other) or 'another version of RoboXim'}; "
@@ -152,7 +165,7 @@ class Trainer:
         return self._at[1]
 
     def _identity(self) -> str:
-        return Checkpoint.identity_of(self.config, self.data)
+        return Checkpoint.identity_of(self.config, self.data, self._started_from)
 
     def run(self, progress: Callable[[TrainProgress], None] = lambda report: None, *, until: int = 0) -> Path:
         """Train to the end; on any exception (Ctrl-C included) save a checkpoint first.
@@ -221,7 +234,8 @@ class Trainer:
         state, step, chosen = self._at
         self.out.mkdir(parents=True, exist_ok=True)
         save_checkpoint(
-            self.path, state, step=step, config=self.config, data=self.data, stats=self.stats, chosen=chosen
+            self.path, state, step=step, config=self.config, data=self.data, stats=self.stats, chosen=chosen,
+            started_from=self._started_from,
         )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from roboxim_core.episode import (
     EpisodeRunner,
     EpisodeStep,
     Ports,
+    RecorderPort,
     RunConfig,
     SimPort,
 )
@@ -98,6 +99,28 @@ class Try:
         return self.result.reason != "reset_infeasible"
 
 
+def episode_loop(
+    graph: CoreGraph, draw: Draw, actor: ActorPort, recorder: RecorderPort, *, config: RunConfig,
+    sim: SimPort | None = None, **options: Any,
+) -> EpisodeRunner:  # fmt: skip
+    """Return the loop of an episode of a given task and scene.
+
+    Args:
+        graph: The cores; of this thread.
+        draw: Task and scene.
+        actor: Who acts.
+        recorder: Keeps the episode.
+        config: Configuration of the run; without an output folder, `IN_MEMORY` takes its place.
+        sim: The simulator's port; none: the graph's.
+        **options: Further arguments of `EpisodeRunner`.
+    """
+    ports = Ports(
+        scenes=GivenScene(draw), sim=sim or graph.sim, actor=actor, judge=graph.tasks, recorder=recorder,
+        clock=time.monotonic,
+    )  # fmt: skip
+    return EpisodeRunner(ports, replace(config, output_dir=config.output_dir or IN_MEMORY), **options)
+
+
 class TryBench:
     """Cores to run episodes with. A context manager; belongs to the thread that made it."""
 
@@ -156,11 +179,8 @@ class TryBench:
 
         keeper = StateKeeper(self.graph.sim)
         recorder = keeper if bags is None else CoreRecorder(self.graph.sim, bags.absolute())
-        ports = Ports(
-            scenes=GivenScene(draw), sim=sim or self.graph.sim, actor=actor, judge=self.graph.tasks, recorder=recorder,
-            clock=time.monotonic,
-        )  # fmt: skip
-        runner = EpisodeRunner(ports, replace(config or RunConfig(), output_dir=IN_MEMORY))
+        given = replace(config or RunConfig(), output_dir=IN_MEMORY)
+        runner = episode_loop(self.graph, draw, actor, recorder, config=given, sim=sim)
         self.runs += 1
         result = runner.run_attempt(seed)
         return Try(result=result, states=tuple(keeper.states), info=keeper.info)
@@ -188,4 +208,4 @@ def recorded_run(info: EpisodeInfo) -> tuple[RunConfig, Draw]:
     return config, Draw(task=info.task, scene=info.scene, max_steps=config.max_steps, config_json=task)
 
 
-__all__ = ["IN_MEMORY", "GivenScene", "StateKeeper", "Try", "TryBench", "recorded_run", "seed_of"]
+__all__ = ["IN_MEMORY", "GivenScene", "StateKeeper", "Try", "TryBench", "episode_loop", "recorded_run", "seed_of"]

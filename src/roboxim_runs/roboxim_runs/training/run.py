@@ -18,6 +18,7 @@ from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_datasets.formats import open_dataset
 from roboxim_policies.act.config import ACTConfig
 from roboxim_policies.bc.config import BCConfig
+from roboxim_policies.learning.checkpoint_file import family_in, read_description
 from roboxim_policies.learning.config import LearningConfig
 from roboxim_policies.learning.families import config_class
 from roboxim_policies.rt1s.config import RT1SConfig
@@ -30,8 +31,7 @@ TRAINED_ON = "trained_on.json"
 """File in a training's folder that names the export which the trainer read: its identity and cells."""
 
 __all__ = [
-    "TRAINED_ON", "ACTConfig", "BCConfig", "RT1SConfig", "TrainingResult", "read_config", "train_act", "train_bc",
-    "train_policy", "train_rt1s",
+    "TRAINED_ON", "ACTConfig", "BCConfig", "RT1SConfig", "TrainingResult", "read_config", "train_policy",
 ]  # fmt: skip
 
 
@@ -58,59 +58,12 @@ class TrainingResult:
         return PolicySpec(spec=self.family, options={CHECKPOINT: str(self.checkpoint)})
 
 
-def train_bc(
-    dataset: Path | str,
-    out: Path | str = "runs/bc",
-    config: BCConfig | None = None,
-    *,
-    limit: int = 0,
-    until: int = 0,
-    on_event: OnEvent = ignore,
-    cancellation: Cancellation | None = None,
-) -> TrainingResult:
-    """Train a small behaviour-cloning network on a dataset, on CPU; arguments and errors as for `train_policy`."""
-    return train_policy(
-        dataset, out, config or BCConfig(), limit=limit, until=until, on_event=on_event, cancellation=cancellation
-    )
-
-
-def train_rt1s(
-    dataset: Path | str,
-    out: Path | str = "runs/rt1s",
-    config: RT1SConfig | None = None,
-    *,
-    limit: int = 0,
-    until: int = 0,
-    on_event: OnEvent = ignore,
-    cancellation: Cancellation | None = None,
-) -> TrainingResult:
-    """Train a small relative of RT-1 on pre-trained encoders; arguments and errors as for `train_policy`."""
-    return train_policy(
-        dataset, out, config or RT1SConfig(), limit=limit, until=until, on_event=on_event, cancellation=cancellation
-    )
-
-
-def train_act(
-    dataset: Path | str,
-    out: Path | str = "runs/act",
-    config: ACTConfig | None = None,
-    *,
-    limit: int = 0,
-    until: int = 0,
-    on_event: OnEvent = ignore,
-    cancellation: Cancellation | None = None,
-) -> TrainingResult:
-    """Train action chunks by a transformer on pre-trained encoders; arguments and errors as for `train_policy`."""
-    return train_policy(
-        dataset, out, config or ACTConfig(), limit=limit, until=until, on_event=on_event, cancellation=cancellation
-    )
-
-
 def train_policy(
     dataset: Path | str,
-    out: Path | str,
-    config: LearningConfig,
+    out: Path | str = "",
+    config: LearningConfig | None = None,
     *,
+    start: Path | str = "",
     limit: int = 0,
     until: int = 0,
     on_event: OnEvent = ignore,
@@ -122,8 +75,9 @@ def train_policy(
 
     Args:
         dataset: A dataset of any registered format.
-        out: Folder of the checkpoint.
-        config: Configuration of a family's network and training.
+        out: Folder of the checkpoint; empty: the family's folder in ``runs``.
+        config: Configuration of a family's network and training; none: that of ``start``, else bc's defaults.
+        start: Checkpoint to begin with (fine-tuning), of the same family and shape; empty: weights are drawn.
         limit: Largest number of episodes to use; 0: all.
         until: Step after which to end for now, with a checkpoint that the same call continues; 0: the last one.
         on_event: Receives the run's events.
@@ -131,19 +85,22 @@ def train_policy(
 
     Raises:
         CancelledError: When the training was cancelled.
-        ConfigError: When the folder is not a dataset, or ``out`` holds another training.
+        ConfigError: When the folder is not a dataset, ``out`` holds another training, or ``start`` is a checkpoint of
+            another family or shape.
         UnavailableError: When the family needs ``roboxim[pretrained]``, which is not installed.
     """
-    settings = config
-    folder = checked_path(out)
+    settings = config or (read_config("", None, start=Path(start)) if start else BCConfig())
+    folder = checked_path(out or f"runs/{settings.FAMILY}")
     checked_path(dataset)
     if folder.is_file():
         make_folder(folder)  # says so
-    from roboxim_policies.learning.data import read_demonstrations  # importing JAX takes a second
+    from roboxim_policies.learning.checkpoint import load_checkpoint  # importing JAX takes a second
+    from roboxim_policies.learning.data import read_demonstrations
     from roboxim_policies.learning.train import Trainer, TrainProgress
 
     started = time.monotonic()
     reporter = Reporter(on_event, cancellation)
+    began_with = load_checkpoint(Path(start)) if start else None
     with reporter.stage("reading demonstrations") as reading:
         read = read_demonstrations(
             Path(dataset), image_sizes=settings.image_sizes, side_of=settings.side_of, limit=limit, progress=reading
@@ -152,7 +109,7 @@ def train_policy(
         del read  # its images are copies
     make_folder(folder)
     with reporter.stage("encoding pictures") if settings.ENCODER else nullcontext(_untold) as encoding:
-        trainer = Trainer(data, settings, Path(out), encoding=encoding, held_out=held_out)
+        trainer = Trainer(data, settings, folder, encoding=encoding, held_out=held_out, start=began_with)
     name_dataset(Path(dataset), folder)
     before = trainer.step
 
@@ -200,20 +157,33 @@ def name_dataset(dataset: Path, training: Path) -> None:
     write_whole(training / TRAINED_ON, json.dumps(named, indent=2) + "\n")
 
 
-def read_config(family: str, file: Path | None, changes: Mapping[str, Any] | None = None) -> LearningConfig:
+def read_config(
+    family: str, file: Path | None, changes: Mapping[str, Any] | None = None, *, start: Path | None = None
+) -> LearningConfig:
     """Return a training's configuration.
 
     Args:
-        family: Family of the policy.
+        family: Family of the policy; empty: that of ``start``.
         file: YAML file with fields of its configuration; none: the defaults.
         changes: Fields that replace those of the file.
+        start: Checkpoint whose configuration has what neither gives; none: the defaults.
 
     Raises:
-        ConfigError: When the file is missing or empty, or a field is unknown or wrong.
+        ConfigError: When the file is missing or empty, a field is unknown or wrong, or the checkpoint is of another
+            family.
     """
+    base: dict[str, Any] = {}
+    if start is not None:
+        description = read_description(start)
+        found = family_in(description)
+        if family not in ("", found):
+            raise ConfigError(f"{start} is a checkpoint of '{found}', not of '{family}': roboxim train {found}")
+        family, base = found, description["config"]
     cls = config_class(family)
     content = {} if file is None else load_yaml(file)
     if content is None:
         raise ConfigError(f"{file} is empty; expected fields such as 'steps: 500', or omit --config")
-    found = from_plain(content, cls, source=str(file))
-    return from_plain({**to_plain(found), **changes}, cls, source="--set") if changes else found
+    if base and isinstance(content, Mapping):
+        content = {**base, **content}
+    read = from_plain(content, cls, source=str(file or start))
+    return from_plain({**to_plain(read), **changes}, cls, source="--set") if changes else read

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +13,6 @@ from roboxim_core.episode import (
     EpisodeResult,
     EpisodeRunner,
     EpisodeStep,
-    Ports,
     RunConfig,
     SimPort,
 )
@@ -24,7 +21,7 @@ from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.seeds import SeedPath
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
-from roboxim_runs.answers.trying import IN_MEMORY, GivenScene
+from roboxim_runs.answers.trying import episode_loop
 from roboxim_studio.episode.film import Film, Pictures
 
 if TYPE_CHECKING:
@@ -135,12 +132,8 @@ def begin(
         versions: Package to version, for a bag.
         cancelled: Called before every tick; True ends the episode.
     """
-    ports = Ports(
-        scenes=GivenScene(draw), sim=sim or graph.sim, actor=actor, judge=graph.tasks, recorder=recorder,
-        clock=time.monotonic,
-    )  # fmt: skip
-    runner = EpisodeRunner(
-        ports, replace(config, output_dir=config.output_dir or IN_MEMORY), versions=versions, library=graph.sim.library
+    runner = episode_loop(
+        graph, draw, actor, recorder, config=config, sim=sim, versions=versions, library=graph.sim.library
     )
     return runner, runner.play(seed, cancelled)
 

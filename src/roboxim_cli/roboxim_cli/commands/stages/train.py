@@ -31,6 +31,10 @@ def _training(family: str, config: str) -> Callable[[Callable[[], None]], click.
         ),
         click.option("--steps", type=click.IntRange(1), help="Optimiser steps; default: the configuration's."),
         click.option("--seed", type=click.IntRange(0), help="Seed of weights, order and augmentation."),
+        click.option(
+            "--from", "start", type=click.Path(exists=True, path_type=Path), metavar="CHECKPOINT",
+            help=f"Fine-tune a checkpoint of {family}: its weights and, unless given, its configuration.",
+        ),
         click.option("--config", type=click.Path(path_type=Path), help=f"YAML file with {config}'s fields."),
         click.option(
             "--set", "changes", multiple=True, metavar="FIELD=VALUE",
@@ -46,10 +50,10 @@ def _training(family: str, config: str) -> Callable[[Callable[[], None]], click.
 
     def decorate(described: Callable[[], None]) -> click.Command:
         def train(
-            dataset: Path, out: Path, steps: int | None, seed: int | None, config: Path | None,
-            changes: tuple[str, ...], until: int | None, episodes: int,
+            dataset: Path, out: Path, steps: int | None, seed: int | None, start: Path | None,
+            config: Path | None, changes: tuple[str, ...], until: int | None, episodes: int,
         ) -> None:  # fmt: skip
-            _train(family, dataset, out, {"steps": steps, "seed": seed}, config, changes, until, episodes)
+            _train(family, dataset, out, {"steps": steps, "seed": seed}, start, config, changes, until, episodes)
 
         train.__doc__ = described.__doc__
         made = train
@@ -97,8 +101,8 @@ def act() -> None:
 
 
 def _train(
-    family: str, dataset: Path, out: Path, given: dict[str, int | None], config: Path | None, changes: tuple[str, ...],
-    until: int | None, episodes: int,
+    family: str, dataset: Path, out: Path, given: dict[str, int | None], start: Path | None, config: Path | None,
+    changes: tuple[str, ...], until: int | None, episodes: int,
 ) -> None:  # fmt: skip
     from roboxim_bringup.parameters import parse_options
     from roboxim_bringup.process import keep_freed_memory
@@ -106,10 +110,12 @@ def _train(
     from roboxim_runs.training.run import read_config, train_policy
 
     chosen = {name: value for name, value in given.items() if value is not None}
-    settings = read_config(family, config, {**parse_options(changes), **chosen})
+    settings = read_config(family, config, {**parse_options(changes), **chosen}, start=start)
     keep_freed_memory()
     with EventPrinter() as printer:
-        result = train_policy(dataset, out, settings, limit=episodes, until=until or 0, on_event=printer)
+        result = train_policy(
+            dataset, out, settings, start=start or "", limit=episodes, until=until or 0, on_event=printer
+        )
     if result.steps_now:
         click.echo(f"checkpoint after {result.steps} steps, {result.wall_s:.0f} s: {result.checkpoint}")
     else:

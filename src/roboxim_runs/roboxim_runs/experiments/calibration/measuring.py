@@ -40,7 +40,7 @@ from roboxim_runs.experiments.delivery.reader import DeliveryReader
 from roboxim_runs.experiments.delivery.worker import BagJob
 from roboxim_runs.policies.specs import PolicySpec
 from roboxim_runs.training.commands import started
-from roboxim_runs.training.run import BCConfig, train_bc
+from roboxim_runs.training.run import BCConfig, train_policy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +148,7 @@ def calibrate(
         export, export_s = _timed(lambda: _export(folder, options))
         watch = _Watch(on_event)
         keep_freed_memory()  # as the command of a training does
-        trained = train_bc(
+        trained = train_policy(
             folder / "rlds", folder / "bc", BCConfig(steps=config.steps), on_event=watch, cancellation=cancellation
         )
         policy = PolicySpec(spec="bc", options={"checkpoint": str(folder / "bc")})
