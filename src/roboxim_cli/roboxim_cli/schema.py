@@ -88,17 +88,15 @@ def _object(cls: type[Any], defs: dict[str, Any]) -> dict[str, Any]:
 
 
 def _special(cls: type[Any], properties: dict[str, Any], defs: dict[str, Any]) -> dict[str, Any]:
-    """Complete a task's schema with the sections of its skill and its reset components."""
+    """Complete the schema of a task or a step with the sections of its skill, and a task's with those of its reset."""
     from roboxim_tasks.components import COMPONENTS
     from roboxim_tasks.skills import SKILLS
-    from roboxim_tasks.task_config import TaskConfig
+    from roboxim_tasks.task_config import StepConfig, TaskConfig
 
-    if cls is not TaskConfig:
+    if cls not in (TaskConfig, StepConfig):
         return {}
     properties["skill"] = {"anyOf": [{"enum": list(SKILLS)}, {"type": "string", "pattern": r"\.py:\w+$"}]}
-    sections = {name: _typed(COMPONENTS[name].Config, defs) for name in COMPONENTS}
-    properties["reset"] |= {"properties": sections, "additionalProperties": False}
-    rules = []
+    rules: list[dict[str, Any]] = []
     for name in SKILLS:
         typed = _typed(SKILLS[name].Parameters, defs)
         rules.append(
@@ -107,7 +105,13 @@ def _special(cls: type[Any], properties: dict[str, Any], defs: dict[str, Any]) -
                 "then": {"properties": {"parameters": typed, "lenient": typed}},
             }
         )
-    return {"allOf": rules, "required": ["skill"]}
+    if cls is StepConfig:
+        return {"allOf": rules}
+    sections = {name: _typed(COMPONENTS[name].Config, defs) for name in COMPONENTS}
+    properties["reset"] |= {"properties": sections, "additionalProperties": False}
+    properties["skill"]["anyOf"].append({"type": "string", "pattern": r"\+"})
+    named = {"anyOf": [{"type": "object", "required": [key]} for key in ("skill", "steps")]}
+    return {"allOf": [*rules, named], "required": []}
 
 
 def _typed(kind: Any, defs: dict[str, Any]) -> dict[str, Any]:

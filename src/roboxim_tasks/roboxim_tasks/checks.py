@@ -23,7 +23,8 @@ from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.roles import SPOKEN, Role
 from roboxim_tasks.sampling.exclusions import MODEL, all_excluded
-from roboxim_tasks.skills import SKILLS, Skill
+from roboxim_tasks.sequences import skill_of
+from roboxim_tasks.skills import Skill
 from roboxim_tasks.task_config import DistractorConfig, ObjectConfig, TaskConfig
 
 MAX_COMBINATIONS = 1000
@@ -109,7 +110,7 @@ def check_objects(document: Document, config: TaskConfig, library: ModelLibrary)
     Raises:
         ConfigError: On the first invalid model or modifier.
     """
-    roles, known = SKILLS[config.skill].roles, library.object_ids
+    roles, known = skill_of(config).roles, library.object_ids
     places: list[tuple[Path, ObjectConfig | DistractorConfig, Role]] = [
         (("objects", name), objects, roles[name]) for name, objects in config.objects.items()
     ]
@@ -143,7 +144,7 @@ def check_arguments(document: Document, config: TaskConfig, library: ModelLibrar
     Raises:
         ConfigError: On the first invalid argument.
     """
-    skill = SKILLS[config.skill]
+    skill = skill_of(config)
     models = {
         role: [library.object(str(model)) for model in objects.models.values]
         for role, objects in config.objects.items()
@@ -194,7 +195,7 @@ def check_reset(document: Document, config: TaskConfig) -> None:
     """
     for name, section in config.reset.items():
         with document.section(("reset", name)):
-            COMPONENTS[name].check(section, tuple(SKILLS[config.skill].roles), config)
+            COMPONENTS[name].check(section, tuple(skill_of(config).roles), config)
 
 
 def check_templates(document: Document, config: TaskConfig) -> None:
@@ -205,7 +206,7 @@ def check_templates(document: Document, config: TaskConfig) -> None:
     """
     if config.templates is None:
         return
-    skill = SKILLS[config.skill]
+    skill = skill_of(config)
     with document.section(()):
         config.templates.require_words("templates", "instructions with roles in braces")
     for template in map(str, config.templates.values):
@@ -228,7 +229,7 @@ def check_exclusions(document: Document, config: TaskConfig, library: ModelLibra
     Raises:
         ConfigError: On the first invalid combination.
     """
-    roles = SKILLS[config.skill].roles
+    roles = skill_of(config).roles
     for number, combination in enumerate(config.exclude):
         for role, wanted in combination.items():
             path: Path = ("exclude", number, role)

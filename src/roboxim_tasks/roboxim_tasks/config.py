@@ -35,6 +35,8 @@ from roboxim_tasks.checks import (
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.fixed_scene import FIXED, fixed_task_config
+from roboxim_tasks.sequences import skill_of
+from roboxim_tasks.sequences.configuring import with_steps
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.skills.from_file import is_skill_file, load_skill_file
 from roboxim_tasks.task_config import ObjectConfig, TaskConfig
@@ -65,8 +67,8 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
     if given := config.skill_file or (config.skill if is_skill_file(config.skill) else ""):
         with document.section(("skill",)):
             config = replace(config, skill=load_skill_file(given), skill_file=given)
-    document.require(("skill",), config.skill, SKILLS)
-    skill = SKILLS[config.skill]
+    config = with_steps(document, config)
+    skill = skill_of(config)
     for role in config.objects:
         document.require(("objects", role), role, skill.roles)
     for name in config.reset:

@@ -20,7 +20,7 @@ from roboxim_tasks.measures import (
     toppled,
 )
 from roboxim_tasks.roles import STAY, task_distractors
-from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.sequences import skill_of, steps_of
 
 
 class Judge:
@@ -36,12 +36,8 @@ class Judge:
         Raises:
             TaskError: With code ``UNKNOWN_SKILL`` when the task's skill is not registered.
         """
-        if task.skill not in SKILLS:
-            raise TaskError(
-                f"unknown skill '{task.skill}'; expected one of: {', '.join(SKILLS)}", ErrorCode.UNKNOWN_SKILL
-            )
         self.task = task
-        self._skill = SKILLS[task.skill]
+        self._skill = skill_of(task)
         self._verdict = Verdict()
         self._state: StateRecord | None = None
         self._solved_since_ns: int | None = None
@@ -120,12 +116,15 @@ class Judge:
 def surroundings(task: TaskSpec, initial: StateRecord) -> Conditions:
     """Return the evaluator of what a person sees besides the task, in every skill.
 
-    Nothing but the target may have toppled, fallen off the table, or been opened; a joint that the task names may move.
+    Nothing but the target, or the targets of the steps, may have toppled, fallen off the table, or been opened; a joint
+    that the task names may move.
     """
-    target = task.objects["target"].entity if "target" in task.objects else ""
-    others = [entity.name for entity in initial.entities if entity.name != target]
+    steps = steps_of(task)
+    targets = {step.objects["target"].entity for step in steps if "target" in step.objects}
+    others = [entity.name for entity in initial.entities if entity.name not in targets]
     named = {thing.entity for thing in task.objects.values()} - {thing.entity for thing in task_distractors(task)}
-    joint = str(task.arguments.get("joint", ""))
+    joints = {str(step.arguments.get("joint", "")) for step in steps}
+    movable = {(name, joint) for name in named for joint in joints}
     falls = [lift(entity, initial) for entity in others]
     lowest = Measure(name="others_lift_m", of=lambda state: min((fall.of(state) for fall in falls), default=0.0))
     return Conditions(
@@ -139,7 +138,7 @@ def surroundings(task: TaskSpec, initial: StateRecord) -> Conditions:
             ),
             Condition(
                 name="others_shut", most=OPENED, reason="opened_other",
-                measure=joints_moved(others, initial, "others_joint", but={(name, joint) for name in named}),
+                measure=joints_moved(others, initial, "others_joint", but=movable),
             ),
         ),
         hold_s=0.0,

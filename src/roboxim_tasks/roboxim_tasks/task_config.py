@@ -81,15 +81,39 @@ class DistractorConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class StepConfig:
+    """One step of a task of several steps."""
+
+    skill: str
+    """Registered skill."""
+    roles: dict[str, str] = field(default_factory=dict)
+    """Role of the skill to the role of the task that fills it, a key of ``objects``; omitted: the one of that name.
+    Steps share an object by naming the same role."""
+    parameters: Any = None
+    """The skill's parameters and thresholds."""
+    lenient: Any = None
+    """Parameters with other values for the evaluation of policies (purpose ``eval``)."""
+    arguments: dict[str, Choice] = field(default_factory=dict)
+    """Parameters that vary from episode to episode. Steps whose argument has the same name and values draw the same."""
+    templates: Choice | None = None
+    """Templates of the step's sentence, in roles of the skill; none: the skill's."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class TaskConfig:
     """A YAML file of ``config/tasks`` that describes one skill; see `TaskMix` for several skills."""
 
-    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("skill_file",)
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("skill_file", "steps", "order")
 
     skill: str = "pick_up"
-    """Registered skill, or ``path/to/file.py:Class``."""
+    """Registered skill, or ``path/to/file.py:Class``; with ``steps``, their skills joined by ``+``, which may be
+    omitted."""
     skill_file: str = ""
     """File of the skill, ``path/to/file.py:Class``, if it is not registered; ``skill`` may name it instead."""
+    steps: tuple[StepConfig, ...] = ()
+    """Two to five steps of a longer task, instead of ``skill``; see docs/how-to/sequences.md."""
+    order: str = "fixed"
+    """``fixed``: the steps count in their order only; ``any``: in every order."""
     parameters: Any = None
     """The skill's parameters and thresholds that demonstrations must meet."""
     lenient: Any = None

@@ -22,17 +22,22 @@ from roboxim_core.kinematics import delta_between
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import RECOVERY, ActionChunk, EpisodeStart, ObservationWindow, PolicyDescription
 from roboxim_core.poses import distance
+from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.demonstration.planning import PlannerPort
 from roboxim_tasks.demonstration.reference import SpeedConfig
 from roboxim_tasks.demonstration.solvable import Solvability
 from roboxim_tasks.demonstration.solver import Solution, Solver
 from roboxim_tasks.motion import ROBOT, ExpertScene, Stage
+from roboxim_tasks.sequences.progress import Progress
+from roboxim_tasks.sequences.steps import steps_of
 from roboxim_tasks.skills import SKILLS
 
 MAX_RECOVERIES = 2
 HELD_TOLERANCE_M = 0.003
 HELD_TOLERANCE_RAD = 0.035
+DONE_WAIT_S = 2.0
+"""Time at the end of a step after which a step that is not done yet is done again [s]."""
 SAG_TOLERANCE_M, SAG_TOLERANCE_RAD = 0.010, 0.06
 """Largest shift [m] and rotation [rad] of a lifted object in the hand that need no replanning."""
 
@@ -72,6 +77,10 @@ class Expert:
         self._solution: Solution | None = None
         self._first_seq = 0
         self._recoveries = 0
+        self._steps: tuple[TaskSpec, ...] = ()
+        self._number = 0
+        """Number of the step at hand, from 0."""
+        self._progress: Progress | None = None
 
     def describe(self) -> PolicyDescription:
         """Return the expert's description."""
@@ -92,11 +101,13 @@ class Expert:
             raise TaskError(
                 "the expert needs the task and the scene; send them as to a privileged policy", ErrorCode.NO_EXPERT
             )
-        if start.task.skill not in SKILLS:
+        steps = steps_of(start.task)
+        if unknown := [step.skill for step in steps if step.skill not in SKILLS]:
             raise TaskError(
-                f"no expert for skill '{start.task.skill}'; expected one of: {', '.join(SKILLS)}", ErrorCode.NO_EXPERT
+                f"no expert for skill '{unknown[0]}'; expected one of: {', '.join(SKILLS)}", ErrorCode.NO_EXPERT
             )
         self._start, self._solution, self._recoveries = start, None, 0
+        self._steps, self._number, self._progress = steps, 0, None
 
     def act(self, window: ObservationWindow) -> ActionChunk:
         """Return the delta to the reference's next pose.
@@ -115,6 +126,8 @@ class Expert:
         view = ExpertScene(
             task=self._start.task, scene=self._start.scene, state=state, library=self._library, direct=self._direct
         )
+        if len(self._steps) > 1:
+            view = self._go_on(view)
         if self._solution is None:
             self._solution, self._first_seq = self._plan_first(view), state.seq
         elif self._recoveries < MAX_RECOVERIES:
@@ -124,26 +137,56 @@ class Expert:
         point = reference[step]
         return ActionChunk(
             actions=delta_between(view.pose_tcp, point.pose, point.opening)[None],
-            done=step == len(reference) - 1,
+            done=step == len(reference) - 1 and self._number == len(self._steps) - 1,
             phases=(RECOVERY if self._recoveries else point.phase,),
         )
+
+    def _go_on(self, view: ExpertScene) -> ExpertScene:
+        """Return the scene of the step at hand, and plan the next step once the one before is done.
+
+        Non-obvious: the expert waits at the end of a step until the step's evaluator says that it is done, e.g. until
+        an object lies still. If it still is not after `DONE_WAIT_S`, the expert does the step again.
+        """
+        state = view.state
+        self._progress = self._progress or Progress(view.task, state)
+        self._progress.assess(state)
+        step = replace(view, task=self._steps[self._number])
+        if self._solution is None or self._number == len(self._steps) - 1:
+            return step if self._solution is not None else view
+        waited = (state.seq - self._first_seq - len(self._solution.reference) + 1) / view.scene.control_rate_hz
+        if waited < 0:
+            return step
+        if self._progress.done[self._number]:
+            self._number += 1
+            last = self._solution.stages[-1]
+            step = replace(view, task=self._steps[self._number], held=last.held, lifted=bool(last.held))
+            self._solution, self._first_seq = self._plan(step), state.seq
+        elif waited > DONE_WAIT_S and self._recoveries < MAX_RECOVERIES:
+            self._recoveries += 1
+            self._solution, self._first_seq = self._plan(replace(step, recovering=True)), state.seq
+        return step
 
     def _step(self, state: StateRecord) -> int:
         assert self._solution is not None
         return min(max(state.seq - self._first_seq, 0), len(self._solution.reference) - 1)
 
     def _plan_first(self, view: ExpertScene) -> Solution:
-        """Return the drawn scene's solution if it is valid in the settled scene, else plan anew."""
+        """Return the drawn scene's solution if it is valid in the settled scene, else plan anew.
+
+        Args:
+            view: The scene, with the whole task.
+        """
         assert self._start is not None
+        first = replace(view, task=self._steps[0])
         if view.state.seq > 0:
-            return self._plan(_taken_over(view))
+            return self._plan(_taken_over(first))
         if self._direct:
-            return self._plan(view)
+            return self._plan(first)
         try:
             drawn = self._solvability.solution(view.task, view.scene, self._start.seed)
         except PolicyError:
-            return self._plan(view)
-        return self._plan(view) if self._solver.mismatch(view, drawn) else drawn
+            return self._plan(first)
+        return self._plan(first) if self._solver.mismatch(first, drawn) else drawn
 
     def _plan(self, view: ExpertScene) -> Solution:
         assert self._start is not None

@@ -10,12 +10,13 @@ from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import EntityState, RobotState, StateRecord
+from roboxim_tasks.demonstration.chain import solve_all
 from roboxim_tasks.demonstration.planning import PlannerPort
 from roboxim_tasks.demonstration.reference import SpeedConfig
 from roboxim_tasks.demonstration.solver import NoMotionError, Solution, Solver
 from roboxim_tasks.motion import ExpertScene
 from roboxim_tasks.roles import task_distractors
-from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.sequences import skill_of
 
 CONSTRAINT = "solvable"
 """Name of the constraint for messages and statistics."""
@@ -46,6 +47,9 @@ class Solvability:
     def solution(self, task: TaskSpec, scene: SceneSpec, seed: int) -> Solution:
         """Return the motion that solves a scene, with every object where it was drawn.
 
+        Of a task of several steps it is the first step's; the others are planned too, each from the predicted end of
+        the one before, so that a scene whose later steps cannot be solved is refused.
+
         Args:
             task: The task; the record of what was drawn is ignored.
             scene: Its scene; the cameras are ignored.
@@ -59,8 +63,7 @@ class Solvability:
         for known, solution in self._kept:
             if known == asked:
                 return solution
-        view = self._view(task, scene)
-        solution = self._solver.solve(view, SKILLS[task.skill].stages(view), seed)
+        solution, *_ = solve_all(self._solver, self._view(task, scene), seed)
         self._kept.append((asked, solution))
         return solution
 
@@ -101,7 +104,7 @@ class Solvability:
         alone = replace(scene, entities=tuple(entity for entity in scene.entities if entity.name not in names))
         view = replace(self._view(task, alone), direct=True)
         try:
-            straight = self._direct.solve(view, SKILLS[task.skill].stages(view), 0)
+            straight = self._direct.solve(view, skill_of(task).stages(view), 0)
         except PolicyError:
             return False
         if self._direct.obstruction(view, straight):

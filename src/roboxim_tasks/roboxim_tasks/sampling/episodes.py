@@ -25,7 +25,7 @@ from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.sampling.rejection import RejectedError
 from roboxim_tasks.sampling.scene_check import Finding, quick_findings, slow_findings
 from roboxim_tasks.sampling.visible import Visibility
-from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.sequences import skill_of
 from roboxim_tasks.task_config import TaskConfig
 
 CAUSES = {
@@ -80,7 +80,7 @@ class EpisodeGenerator:
         drawn = config.drawn(seed.index)
         if isinstance(cell, FixedTaskConfig):
             return replace(cell.task(seed.purpose, self._library), drawn=drawn)
-        skill = SKILLS[cell.skill]
+        skill = skill_of(cell)
         context = GenerationContext(
             seed=seed.of_task(drawn),
             config=cell,
@@ -120,7 +120,7 @@ class EpisodeGenerator:
         if isinstance(config, FixedTaskConfig):
             return self._given(seed, config, task, ordinal)
         base = config.base_scene()
-        wording = Wording.of_task(task, SKILLS[config.skill].roles, self._library)
+        wording = Wording.of_task(task, skill_of(config).roles, self._library)
         _check_unambiguous(base, config, task, wording)
         context = self._context(seed, config, task, ordinal)
         self.last_reset = context
@@ -191,7 +191,7 @@ class EpisodeGenerator:
             ordinal=ordinal,
             way_blocked=partial(self._solvability.way_blocked, task) if self._solvability else None,
         )
-        context.constraints = SKILLS[config.skill].constraints(context)
+        context.constraints = skill_of(config).constraints(context)
         return context
 
     def _begin(self, context: ResetContext, base: SceneSpec) -> SceneSpec:

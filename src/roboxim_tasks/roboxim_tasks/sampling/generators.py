@@ -49,6 +49,10 @@ class GenerationContext:
     """Return why models by role do not go together with the skill's parameters; empty if they do."""
     ordinal: int | None = None
     """Number of the episode in its cell of a mix, the index into ordered lists; none: the seed's index."""
+    given: Mapping[str, PhysicalObject] | None = None
+    """Objects by role that are drawn already, as for a step of a sequence; none: they are drawn here."""
+    text: str = ""
+    """Template that stands for the drawn one, where it says more of what the instruction names; empty: none."""
 
     @property
     def index(self) -> int:
@@ -58,6 +62,8 @@ class GenerationContext:
     @cached_property
     def template(self) -> str:
         """The drawn template of the instruction."""
+        if self.text:
+            return self.text
         assert self.config.templates is not None
         return str(self.config.templates.draw(self.seed.rng("instruction"), self.index))
 
@@ -79,6 +85,8 @@ class GenerationContext:
         drawn |= {name: choice_text(task.arguments[name]) for name in self.config.arguments if name in task.arguments}
         if self.config.templates is not None and len(self.config.templates.values) > 1:
             drawn["template"] = self.template
+        if self.config.steps:
+            drawn["length"] = str(len(self.config.steps))
         if self.config.distractors.maximum:
             drawn["distractors"] = str(len(task.objects) - len(named))
         return drawn
@@ -142,6 +150,8 @@ def generate_objects(context: GenerationContext) -> dict[str, PhysicalObject]:
     Raises:
         TaskError: With code ``RESET_INFEASIBLE`` when all of many draws are refused.
     """
+    if context.given is not None:
+        return dict(context.given)
     refused: Counter[str] = Counter()
     configs = context.config.objects
     ordered = {(role, name): count for role, config in configs.items() for name, count in _ordered(config).items()}

@@ -16,7 +16,7 @@ from roboxim_tasks.roles import Wording
 from roboxim_tasks.sampling.placement import Room, footprint, overlap
 from roboxim_tasks.sampling.visible import CONSTRAINT as VISIBLE
 from roboxim_tasks.sampling.visible import SIZE_PX, Visibility
-from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.sequences import skill_of
 
 UNAMBIGUOUS = "instruction_unambiguous"
 
@@ -51,7 +51,7 @@ def quick_findings(scene: SceneSpec, context: ResetContext) -> Iterator[Finding]
                 constraint=constraint.name, entity=thing.entity if thing else "",
                 message=f"the task's constraint {constraint.name} does not hold",
             )  # fmt: skip
-    wording = Wording.of_task(context.task, SKILLS[context.task.skill].roles, library)
+    wording = Wording.of_task(context.task, skill_of(context.task).roles, library)
     for thing in wording.mistakable(scene, context.task):
         yield Finding(
             constraint=UNAMBIGUOUS, entity=thing.entity,

@@ -9,6 +9,7 @@ robot does not touch the cabinet, for ``hold_s``.
 Non-obvious:
     - The closed fingers push the handle's bar. A drawer runs in rails, so one point of contact suffices.
     - The fingers go 2 mm farther than the drawer, because its friction would hold it wherever the push ends.
+    - What lies in the drawer moves with it.
     - The fingers dwell there, because the reference rounds corners where it does not stop.
 """
 
@@ -33,6 +34,7 @@ from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, reg
 from roboxim_tasks.skills.drawers import (
     APPROACH_M,
     CABINET_PLACES,
+    drawer_contents,
     drawer_position,
     drawer_rests,
     generate_drawer_task,
@@ -125,6 +127,7 @@ class CloseDrawer(Skill):
         axis = opening_axis(model, handle, base)
         travel_m = joints[handle.joint] - joint_of(model, handle).lower
         touching = fingers_touch(scene, cabinet)
+        inside = drawer_contents(scene, cabinet, parameters.drawer)
         for grasp in handle_grasps(model, handle, base, joints):
             touch = moved_by(grasp, axis * FINGER_M)
             begin = moved_by(touch, axis * STANDOFF_M)
@@ -133,6 +136,8 @@ class CloseDrawer(Skill):
             script.move(retreated(begin, APPROACH_M), name="approach", free=True)
             script.move(begin, name="reach")
             script.set_entity(cabinet, joints={handle.joint: 0.0})
+            for name in inside:
+                script.set_entity(name, pose=moved_by(scene.pose_of(name), -axis * travel_m))
             script.move(moved_by(touch, -axis * (travel_m + OVERSHOOT_M)), name="push", speed=SLOW, touching=touching)
             script.wait(DWELL_S, name="dwell")
             script.move(moved_by(script.pose, axis * STANDOFF_M), name="withdraw", touching=touching)

@@ -19,10 +19,11 @@ from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.handling import let_go
 from roboxim_tasks.measures import Condition, Measure, joint_position, seconds_between, with_last
-from roboxim_tasks.motion import retreated
+from roboxim_tasks.motion import ExpertScene, retreated
 from roboxim_tasks.reach import reaches_in_lines
 from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 from roboxim_tasks.sampling.placement import footprint, overlap
+from roboxim_tasks.skills.placing import contents
 
 APPROACH_M = 0.08
 OVERSHOOT_M = 0.02
@@ -95,6 +96,18 @@ def handle_grasps(model: ObjectModel, handle: Handle, base: Pose, joints: Mappin
 def moved_by(pose: Pose, vector: Array) -> Pose:
     """Return a pose moved along a vector of its parent frame [m]."""
     return Pose.from_arrays(np.add(pose.position, vector), pose.rotation)
+
+
+def drawer_contents(scene: ExpertScene, cabinet: str, drawer: str) -> tuple[str, ...]:
+    """Return the entities whose origin lies in a drawer, which move with it.
+
+    Args:
+        scene: The scene.
+        cabinet: Entity of the cabinet.
+        drawer: Name of the drawer, which is the name of its interior.
+    """
+    regions = [r for r in scene.model_of(cabinet).regions if r.kind == "interior" and r.name == drawer]
+    return tuple(name for region in regions[:1] for name in contents(scene, cabinet, region))
 
 
 def way_clear(context: ResetContext, role: str, open_m: float = 0.0) -> Constraint:

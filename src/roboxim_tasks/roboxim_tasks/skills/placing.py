@@ -20,6 +20,11 @@ from roboxim_tasks.script import Script
 
 GOAL_YAWS = (0.0, math.pi / 2, -math.pi / 2, math.pi / 4, -math.pi / 4, math.pi)
 GRASPS_TRIED = 8
+PLACES = (0.0, 1.0, -1.0, 0.5, -0.5)
+"""Places in a container's interior on each axis, as shares of the room that an object has there."""
+MOST_PLACES = 4
+ABOVE_M = 0.05
+"""Distance of an object's origin from the interior at which it still lies inside [m]."""
 
 
 def region_of(model: ObjectModel, kind: str, name: str = "") -> Region:
@@ -44,6 +49,47 @@ def region_pose(scene: ExpertScene, entity: str, region: Region) -> Pose:
     state, model = scene.state.entity(entity), scene.model_of(entity)
     links = object_link_poses(model, dict(zip(state.joint_names, state.joint_positions, strict=True)))
     return scene.pose_of(entity) @ links[region.link or model.links[0].name] @ region.pose
+
+
+def contents(scene: ExpertScene, container: str, region: Region) -> list[str]:
+    """Return the entities whose origin lies in an interior of a container and that the gripper does not hold."""
+    floor, half = region_pose(scene, container, region), np.array(region.size[:2]) / 2
+    found = []
+    for entity in scene.state.entities:
+        if entity.name not in (container, scene.held):
+            x, y, z = (floor.inverse() @ scene.pose_of(entity.name)).position
+            if abs(x) < half[0] and abs(y) < half[1] and -ABOVE_M < z < region.size[2] + ABOVE_M:
+                found.append(entity.name)
+    return found
+
+
+def free_places(scene: ExpertScene, target: str, container: str, region: Region, floor: Pose) -> list[Pose]:
+    """Return where in a container's interior an object has room, best first: the middle if nothing lies inside yet.
+
+    Args:
+        scene: The scene.
+        target: The object.
+        container: The container.
+        region: Its interior.
+        floor: Pose of the interior's floor in the base.
+
+    Returns:
+        Poses of the floor, moved sideways; those farthest from what lies inside come first. Empty: there is no room.
+    """
+    radius = math.hypot(*scene.model_of(target).size[:2]) / 2
+    half = np.array(region.size[:2]) / 2
+    taken = []
+    for name in contents(scene, container, region):
+        if name != target:
+            x, y, _ = (floor.inverse() @ scene.pose_of(name)).position
+            taken.append((x, y, math.hypot(*scene.model_of(name).size[:2]) / 2))
+    if not taken:
+        return [floor]
+    room = np.maximum(half - radius, 0.0)
+    spots = [(x * room[0], y * room[1]) for x in PLACES for y in PLACES]
+    gaps = {spot: min(math.dist(spot, other[:2]) - other[2] - radius for other in taken) for spot in spots}
+    best = sorted((spot for spot in spots if gaps[spot] >= 0.0), key=lambda spot: -gaps[spot])
+    return [floor @ Pose(position=(float(x), float(y), 0.0)) for x, y in best[:MOST_PLACES]]
 
 
 def fits(model: ObjectModel, region: Region) -> bool:

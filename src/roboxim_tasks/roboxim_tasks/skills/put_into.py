@@ -32,7 +32,17 @@ from roboxim_tasks.reach import downward_reachable, graspable, start_clear
 from roboxim_tasks.roles import description
 from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
-from roboxim_tasks.skills.placing import GOAL_YAWS, fits, lies_still, put, raised, region_of, region_pose, upright
+from roboxim_tasks.skills.placing import (
+    GOAL_YAWS,
+    fits,
+    free_places,
+    lies_still,
+    put,
+    raised,
+    region_of,
+    region_pose,
+    upright,
+)
 from roboxim_tasks.standing import nothing_else_put, rests_on, stays_upright, upright_arguments
 
 DROPS_M = (0.01, 0.03, 0.05)
@@ -154,12 +164,15 @@ class PutInto(Skill):
         )
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        """Pick up the object, lower it into the middle, let go as low as the hand fits."""
+        """Pick up the object, lower it into the middle or what is free of it, let go as low as the hand fits."""
         target, container = (scene.task.objects[role].entity for role in ("target", "container"))
         parameters: PutIntoParameters = parameters_of(scene.task, PutIntoParameters)
         floor = region_pose(scene, container, region_of(scene.model_of(container), "interior", parameters.drawer))
-        position = raised(floor, floor.position[2] + scene.model_of(target).rest_height).position
-        goals = [upright(scene.pose_of(target), position, yaw) for yaw in GOAL_YAWS]
+        height = floor.position[2] + scene.model_of(target).rest_height
+        inside = region_of(scene.model_of(container), "interior", parameters.drawer)
+        places = [raised(place, height).position for place in free_places(scene, target, container, inside, floor)]
+        yaws = GOAL_YAWS if len(places) == 1 else GOAL_YAWS[:2]
+        goals = [upright(scene.pose_of(target), position, yaw) for position in places for yaw in yaws]
         return put(scene, target, goals, onto=container, drops_m=DROPS_M)
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
