@@ -32,8 +32,8 @@ from roboxim_core.rotation.quaternions import quat_from_euler
 
 T = TypeVar("T")
 LEFT_OUT = "LEFT_OUT_AT_DEFAULT"
-"""Class variable of a dataclass: names of the fields that plain data lack while they have their defaults. A field that
-is added later thus changes neither the hashes nor the files of what was written without it."""
+"""Class variable of a dataclass: names of the fields that plain data omits at their default. A field that is added
+later thus leaves existing hashes and files unchanged."""
 
 
 def _is_scalar_union(kind: Any) -> bool:
@@ -106,7 +106,7 @@ def _type_mismatches(kind: Any, value: Any, path: tuple[Any, ...]) -> Iterator[t
 
 
 def _is_list_of_words(kind: Any) -> bool:
-    """Tell whether a field is a list of words of any length, for which a single one may stand."""
+    """Return whether a field is a list of words; a single word may then replace the list."""
     arms = [arm for arm in get_args(kind) if arm is not type(None)]
     if get_origin(kind) in (Union, type(str | int)) and len(arms) == 1:
         return _is_list_of_words(arms[0])
@@ -114,10 +114,10 @@ def _is_list_of_words(kind: Any) -> bool:
 
 
 def _dataclass_hook(cls: Any, converter: cattrs.Converter) -> Any:
-    """Return the structure hook of a dataclass, which first checks that lists and mappings are where they belong.
+    """Return the structure hook of a dataclass, which first checks the places of lists and mappings.
 
-    Without this check, cattrs would accept a string as the list of its letters. A word stands for a list of one, and
-    a class with a method ``from_short`` has other short forms.
+    Without this check, cattrs would accept a string as the list of its letters. In place of a list of words, a single
+    word is accepted; a class with a method ``from_short`` accepts other short forms.
     """
     build = make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True)
     kinds = get_type_hints(cls)

@@ -123,7 +123,7 @@ def printable(text: str, characters: int = ERROR_CHARACTERS) -> str:
 
 
 def is_file_name(name: str) -> bool:
-    """Tell whether a name, with an ending, can be that of a file in a folder, and leads nowhere else."""
+    """Return whether a name with an ending is a valid file name that cannot lead out of its folder."""
     return 0 < len(name.encode("utf-8", "replace")) <= FILE_NAME_CHARACTERS and not set(name) & set("/\\\0")
 
 

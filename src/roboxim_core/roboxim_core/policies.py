@@ -190,8 +190,8 @@ class ActionChunk:
     """Name of each action's phase, chosen by the actor. Noise is injected only in phase ``free``; phase ``recovery``
     marks the episode as recovered. Empty: unknown."""
     received: tuple[str, ...] = ()
-    """Instructions that the policy was given in this episode so far, each once; empty: unknown. The guard of the policy
-    sets it, see `PassesOn`; what a policy itself writes here is replaced."""
+    """Instructions that the policy was given in this episode so far, each once; empty: unknown. The policy's guard sets
+    it and overwrites what the policy wrote, see `PassesOn`."""
 
 
 class Policy(Protocol):
@@ -212,7 +212,7 @@ class Policy(Protocol):
 
 @runtime_checkable
 class PassesOn(Protocol):
-    """A policy that passes its requests on to another one, e.g. with other words or to another process."""
+    """A policy that passes its requests on to another one, e.g. with a changed instruction or to another process."""
 
     def received_instructions(self) -> Sequence[str]:
         """Return the instructions that the other policy was given since the last reset, each once; empty: unknown."""

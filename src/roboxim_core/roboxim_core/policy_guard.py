@@ -83,8 +83,8 @@ class GuardedPolicy:
     """Wrapper that calls a policy and checks everything that it does.
 
     A policy that does not declare ``privileged`` never receives the task, the scene or a state record, even if a caller
-    sends them. Every answer says which instructions the policy was given (`ActionChunk.received`); one that passes its
-    requests on (`PassesOn`) tells it of the other policy.
+    sends them. Every answer lists the instructions that the policy was given (`ActionChunk.received`). A policy that
+    passes its requests on (`PassesOn`) lists those of the other policy.
     """
 
     def __init__(
@@ -164,7 +164,7 @@ class GuardedPolicy:
             raise PolicyError(f"{self._label} in {where}: {error}", error.code) from None
 
     def _received(self) -> tuple[str, ...]:
-        """Return the instructions that the policy, or the one behind it, was given since the last reset."""
+        """Return the instructions that the policy, or the policy behind it, was given since the last reset."""
         if isinstance(self._policy, PassesOn):
             return tuple(map(str, self._policy.received_instructions()))
         return tuple(self._given)
@@ -194,7 +194,7 @@ class GuardedPolicy:
                 wanted = (camera.height or image.shape[0], camera.width or image.shape[1])
                 if image.shape[:2] != wanted:
                     raise InvalidRequestError(
-                        f"{self._label} wants camera '{camera.name}' at {wanted[1]}x{wanted[0]} px, got "
+                        f"{self._label} needs camera '{camera.name}' at {wanted[1]}x{wanted[0]} px, got "
                         f"{image.shape[1]}x{image.shape[0]}; leave the run's image size to the policy"
                     )
 

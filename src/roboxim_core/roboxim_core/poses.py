@@ -36,14 +36,14 @@ class Pose:
         Raises:
             InvalidRequestError: On a NaN, an infinity, a wrong length or a quaternion that is not of unit norm (1e-3).
         """
-        if len(self.position) == 3 and len(self.quat_xyzw) == 4:  # the usual case, quickly: many poses make a tick
+        if len(self.position) == 3 and len(self.quat_xyzw) == 4:  # fast path: a tick makes many poses
             (x, y, z), (a, b, c, d) = self.position, self.quat_xyzw
             if 0.9981 < a * a + b * b + c * c + d * d < 1.0019 and math.isfinite(x + y + z):
                 return
         if len(self.position) != 3 or len(self.quat_xyzw) != 4:
             raise InvalidRequestError(f"a pose is a position of 3 and a quaternion of 4 numbers, got {self}")
         (px, py, pz), (x, y, z, w) = self.position, self.quat_xyzw
-        if not math.isfinite(px + py + pz + x + y + z + w):  # also of finite numbers that are absurdly large
+        if not math.isfinite(px + py + pz + x + y + z + w):  # the sum also overflows if numbers are absurdly large
             raise InvalidRequestError(f"a pose must be finite, got {self}")
         norm = math.sqrt(x * x + y * y + z * z + w * w)
         if abs(norm - 1.0) > 1e-3:

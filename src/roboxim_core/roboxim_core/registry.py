@@ -25,8 +25,8 @@ class Registry(Generic[T]):
 
         Args:
             kind: Kind of the items, for messages and for the entry point group ``roboxim.<kind>``, e.g. ``"skill"``.
-            checks: Module with further conformance checks, imported by the first `check`: for checks that use what
-                depends on the registry.
+            checks: Module with further conformance checks, imported by the first `check`: for checks that use modules
+                which import the registry.
         """
         self.kind = kind
         self._checks_in = checks

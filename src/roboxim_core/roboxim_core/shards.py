@@ -1,4 +1,4 @@
-"""Shards: one run, or one export, divided among machines that need not know each other."""
+"""Shards: one run, or one export, divided among machines that need no connection to each other."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Shard:
     """One part of a run. An episode does not depend on how its run is divided."""
 
     number: int = 1
-    """Which part, from 1."""
+    """Number of the part, from 1."""
     count: int = 1
     """Number of parts."""
 
@@ -32,11 +32,11 @@ class Shard:
         return cls(number=int(found[1]), count=int(found[2]))
 
     def indices(self, episodes: int) -> range:
-        """Return the indices of the shard's episodes, of a run with so many."""
+        """Return the indices of the shard's episodes in a run of ``episodes`` episodes."""
         return range(self.number - 1, episodes, self.count)
 
     def part(self, episodes: int) -> slice:
-        """Return the shard's part of so many episodes in a row; the parts, one after the other, are the whole."""
+        """Return the shard's part of consecutive episodes; the parts of all shards, in order, are the whole run."""
         return slice(episodes * (self.number - 1) // self.count, episodes * self.number // self.count)
 
     def __str__(self) -> str:

@@ -49,7 +49,7 @@ class PhysicalObject:
     """Modifier name to value, e.g. ``{"color": "red", "scale": 1.0}``."""
 
     def __hash__(self) -> int:
-        """Return the hash, which equal ones share."""
+        """Return the hash; equal values have equal hashes."""
         return _hash(self)
 
 
@@ -72,7 +72,7 @@ class TaskSpec:
     and vectors of ranges are in the scene."""
 
     def __hash__(self) -> int:
-        """Return the hash, which equal ones share."""
+        """Return the hash; equal values have equal hashes."""
         return _hash(self)
 
 
@@ -104,7 +104,7 @@ class EntitySpec:
         limits.require_finite(f"joint_positions of '{self.name}'", self.joint_positions.values(), limits.LENGTH_M)
 
     def __hash__(self) -> int:
-        """Return the hash, which equal ones share."""
+        """Return the hash; equal values have equal hashes."""
         return _hash(self)
 
 

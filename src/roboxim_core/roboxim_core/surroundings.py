@@ -1,4 +1,4 @@
-"""What a motion must not touch, as the tasks ask the planner."""
+"""Obstacles of a motion, as tasks pass them to the planner."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Surroundings:
     padding_m: float = 0.0
     """Distance that a checked path keeps from bodies that it may not touch [m]."""
     moved: tuple[EntityState, ...] = ()
-    """Entities that have left their pose in ``state`` by the time of the motion; poses in the world."""
+    """Entities that have moved between ``state`` and the motion, with their new poses in the world."""
 
     @property
     def state_then(self) -> StateRecord:

@@ -1,4 +1,4 @@
-"""Folders of this user outside a project: runs that are alive, the cache, the logs of ROS.
+"""Folders of this user outside a project: active runs, the cache, the logs of ROS.
 
 A container often has a user without a home, or with one that cannot be written (``docker --user``, a read-only file
 system, ``HOME`` not set, no entry in the password database). RoboXim then uses the temporary folder.

@@ -25,7 +25,7 @@ from roboxim_core.rotation.representations import RotationRepresentation, decode
 
 
 class Ensemble(ClosedEnum):
-    """Combination of several answers that hold an action for the same tick."""
+    """How several answers for the same tick are combined."""
 
     NEWEST = "newest"
     """The last answer counts."""
@@ -106,7 +106,7 @@ class Planned:
     """An action that a tick executes."""
 
     action: ActionArray
-    """float32, shape (D,), of the policy's meaning."""
+    """float32, shape (D,), in the policy's semantics."""
     phase: str = ""
     """The newest answer's phase."""
 
@@ -141,7 +141,7 @@ class ActionPlan:
         self._next_request: int | None = 0
 
     def due(self, seq: int) -> bool:
-        """Return whether the policy is to be asked at a tick."""
+        """Return whether a request to the policy is due at a tick."""
         return self._next_request is not None and seq >= self._next_request
 
     def add(self, asked: int, delay: int, rows: ActionArray, phases: tuple[str, ...], *, done: bool = False) -> None:
@@ -152,7 +152,7 @@ class ActionPlan:
             delay: Ticks until it arrives.
             rows: float32, shape (horizon, D).
             phases: A phase per row, or none.
-            done: Whether the actor has finished after these rows; heeded if all of them are executed.
+            done: Whether the actor has finished after these rows; ignored unless all of them are executed.
         """
         arrives = asked + delay
         drops = self.chunking.late_rows == LateRows.DROP
@@ -171,7 +171,7 @@ class ActionPlan:
         return self._next_request is None and not any(seq < a.start + len(a.rows) for a in self._answers)
 
     def action(self, seq: int) -> Planned | None:
-        """Return the action of a tick; None: no answer for it has arrived. Ticks must be asked for in order."""
+        """Return the action of a tick; None: no answer for it has arrived. Call it with ticks in increasing order."""
         while self._answers and self._answers[0].start + len(self._answers[0].rows) <= seq:
             self._answers.popleft()
         arrived = [answer for answer in self._answers if answer.arrives <= seq]

@@ -1,7 +1,7 @@
-"""Decisions of the gripper that last for several actions.
+"""Gripper rules: they keep a command for several actions.
 
-The numbers of learned policies flicker near the middle, and each flicker drops the object. A `GripperRule` says when
-the gripper opens or closes, a `GripperSwitch` applies it to the executed actions of an episode, one after another.
+A learned policy's gripper values flicker near the middle, and each flicker can drop the object. A `GripperRule` says
+when the gripper opens or closes, a `GripperSwitch` applies it to the executed actions of an episode, one after another.
 """
 
 from __future__ import annotations
@@ -17,13 +17,15 @@ class GripperRule:
     """When the gripper opens and closes. All openings: 1 = open, 0 = closed."""
 
     binary: bool = False
-    """Whether it is only opened fully or closed; else every opening is commanded as it is, and the rest is not used."""
+    """Whether the gripper only opens fully or closes; if not, every opening is commanded and the other fields are
+    unused."""
     band: float = 0.0
     """Width of the band around half open within which it keeps its command."""
     agree: int = 1
     """Number of consecutive actions that must demand the other command before it changes; 0 and 1: at once."""
     hold: int = 0
-    """Number of actions for which a changed command stays, whatever they demand; 0 and 1: the changing one alone."""
+    """Number of actions for which a changed command stays, whatever they demand; 0 and 1: only the one that changed
+    it."""
     on_change: bool = False
     """Whether an action's opening counts only if it differs from the previous action's by more than half: a rise
     opens, a fall closes. Source: the sticky gripper of SimplerEnv's Google robot."""
@@ -32,7 +34,7 @@ class GripperRule:
         """Check the values.
 
         Raises:
-            InvalidRequestError: Naming the value, or that it needs ``binary``.
+            InvalidRequestError: On a value out of range, or one that needs ``binary``.
         """
         limits.require_range("gripper: band", self.band, 0.0, 1.0)
         limits.require_range("gripper: agree", self.agree, 0, 1_000)

@@ -21,7 +21,7 @@ def require_lag(lag: Sequence[float]) -> None:
     """Refuse a lag that is neither empty nor six numbers of 0 <= number < 1.
 
     Raises:
-        InvalidRequestError: Naming what it is.
+        InvalidRequestError: Naming the given lag.
     """
     if len(lag) not in (0, COMPONENTS) or not all(0.0 <= number < 1.0 for number in lag):
         raise InvalidRequestError(f"lag must be empty or {COMPONENTS} numbers from 0 to below 1, got {list(lag)}")
@@ -30,7 +30,7 @@ def require_lag(lag: Sequence[float]) -> None:
 class MotionLag:
     """A first-order lag of each component of a motion, in one episode: y_k = d y_(k-1) + (1 - d) u_k.
 
-    What is moved in all is what was commanded in all; it only comes later.
+    The total motion equals the total command; it is only delayed.
     """
 
     def __init__(self, lag: Sequence[float]) -> None:
@@ -59,5 +59,5 @@ class MotionLag:
         return np.append(self._moving, action[COMPONENTS:]).astype(action.dtype)
 
     def rest(self) -> None:
-        """Bring the arm to rest, as when it was told to hold still."""
+        """Bring the arm to rest, e.g. after a hold action."""
         self._moving[:] = 0.0

@@ -122,7 +122,7 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class ActionTransform:
-    """Converter of actions from one meaning to another; make it by `between`."""
+    """Converter of actions from one meaning to another; create it with `between`."""
 
     source: ActionSemantics
     """Meaning of the actions that `apply` takes."""

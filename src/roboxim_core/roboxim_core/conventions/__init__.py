@@ -1,7 +1,7 @@
 """Conventions: what a policy is sent, and what its numbers mean.
 
-A convention is a file of ``config/conventions``, or of the user's folders: ``load_convention("libero")``. It is pure
-numbers, without a wire and without ROS. `roboxim_core.conventions.convention` explains the conversions.
+A convention is a file of ``config/conventions``, or of the user's folders: ``load_convention("libero")``. It holds only
+numbers: no wire, no ROS. `roboxim_core.conventions.convention` explains the conversions.
 """
 
 from roboxim_core.conventions.convention import (

@@ -1,7 +1,7 @@
 """The value `Convention`, its loading, and the conversions that it defines.
 
-A convention says how one family of policies is asked and what its answers mean. The same file says how training data
-for such a policy is written, so what is trained is what is evaluated.
+A convention defines the requests to one family of policies and the meaning of their answers. The same file defines how
+training data for such a policy is written, so that training and evaluation agree.
 
 ==================  =======================================================================================
 `observe`           observation window -> request: plain dict of pictures, state vectors and the prompt
@@ -47,7 +47,7 @@ Request = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Chunking(actions.Chunking):
-    """How many actions an answer has, and how they are executed; a run may say otherwise."""
+    """How many actions an answer has, and how they are executed; a run may override both."""
 
     horizon: int = 1
     """Largest number of actions of an answer that are used; a server may answer more."""
@@ -56,7 +56,8 @@ class Chunking(actions.Chunking):
         """Check the values.
 
         Raises:
-            InvalidRequestError: As `roboxim_core.actions.Chunking`, or when more is executed than answered.
+            InvalidRequestError: As `roboxim_core.actions.Chunking`, or when more actions are executed than an answer
+            has.
         """
         super().__post_init__()
         limits.require_range("horizon", self.horizon, 1, MAX_HORIZON)
@@ -85,7 +86,7 @@ class PromptInput:
         """Check the template.
 
         Raises:
-            InvalidRequestError: When the instruction does not occur in it.
+            InvalidRequestError: When the template lacks ``{instruction}``.
         """
         if "{instruction}" not in self.template:
             raise InvalidRequestError(f"prompt: template must contain {{instruction}}, got {self.template!r}")
@@ -97,10 +98,10 @@ class PromptInput:
 
 @dataclass(frozen=True, kw_only=True)
 class Convention:
-    """How a family of policies is asked, and what its answers mean: a YAML file of ``config/conventions``."""
+    """Requests to a family of policies, and the meaning of its answers: a YAML file of ``config/conventions``."""
 
     name: str = ""
-    """Name; empty in a file: the file's name without suffix."""
+    """Name; by default the file's name without suffix."""
     description: str = ""
     """What the convention is for, one sentence."""
     sources: tuple[str, ...] = ()
@@ -128,7 +129,7 @@ class Convention:
     chunking: Chunking = Chunking()
     """Length and execution of an answer."""
     proof: Proof | None = None
-    """Comparison with a genuine client; none: there was none."""
+    """Comparison with a genuine client; none: not compared."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -145,7 +146,7 @@ class Convention:
                 raise InvalidRequestError(f"key {limits.echo(key)} of the request is empty or occurs twice")
 
     def __hash__(self) -> int:
-        """Return the hash, which equal ones share."""
+        """Return the hash; equal values have equal hashes."""
         return hash((self.name, self.rate_hz, self.images, self.states, self.frames, self.chunking))
 
     @property

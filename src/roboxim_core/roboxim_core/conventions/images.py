@@ -101,7 +101,7 @@ class ImageInput:
             uint8, contiguous, shape (height, width, 3) or (3, height, width).
 
         Raises:
-            InvalidRequestError: On an array that is no such picture, or a size that ``resize: none`` refuses.
+            InvalidRequestError: On any other array, or a size that ``resize: none`` refuses.
         """
         if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
             raise InvalidRequestError(

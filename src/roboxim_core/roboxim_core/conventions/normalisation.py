@@ -25,9 +25,9 @@ class NormalisationKind(ClosedEnum):
     """How numbers were normalised."""
 
     QUANTILES = "quantiles"
-    """q01 and q99 are -1 and 1 (OpenVLA's ``bounds_q99``)."""
+    """q01 becomes -1 and q99 becomes 1 (OpenVLA's ``bounds_q99``)."""
     BOUNDS = "bounds"
-    """min and max are -1 and 1."""
+    """min becomes -1 and max becomes 1."""
     MEAN_STD = "mean_std"
     """Mean 0 and standard deviation 1 (Octo's ``normal``)."""
 
@@ -87,7 +87,7 @@ class Normalisation:
             folder: Folder that a relative path starts at.
 
         Raises:
-            ConfigError: When the file lacks them; the message names what it holds.
+            ConfigError: When the file lacks them; the message lists its content.
         """
         if self.first:
             return self

@@ -1,6 +1,6 @@
 """The policy's action: from its numbers to RoboXim's units, and back.
 
-`decode` and `encode` know no state of the arm: a delta stays a delta. `roboxim_core.actions.transforms` does the rest.
+`decode` and `encode` use no state of the arm: a delta stays a delta. `roboxim_core.actions.transforms` does the rest.
 """
 
 from __future__ import annotations
@@ -51,27 +51,27 @@ class ActionOutput:
     rotation: RotationRepresentation = RotationRepresentation.EULER_XYZ_EXTRINSIC
     """Representation of the rotation."""
     delta_base: DeltaBase = DeltaBase.COMMANDED
-    """State that a delta is added to: at every tick of a chunk, that of this tick."""
+    """State that a delta is added to; each action of a chunk uses the state at its own tick."""
     joints: int = 7
     """Number of arm joints, in joint space."""
     normalisation: Normalisation | None = None
     """Normalisation of the numbers; none: the server un-normalises."""
     size: int = 0
-    """Components of the policy's action, if more than the used ones; 0: as many."""
+    """Number of components of the policy's action, if it has unused ones; 0: all are used."""
     order: tuple[int, ...] = ()
     """Index, in the policy's action, of each component in the natural order; empty: the natural order."""
     translation_range: tuple[float, ...] = ()
-    """Lowest and highest number of a translation; others are clipped to it before scaling. Empty: no clipping."""
+    """Lowest and highest number of a translation; others are clipped before scaling. Empty: no clipping."""
     rotation_range: tuple[float, ...] = ()
     """Lowest and highest number of a rotation, likewise; for Euler angles and rotation vectors."""
     joint_range: tuple[float, ...] = ()
     """Lowest and highest number of a joint, likewise."""
     translation_scale_m: float = 1.0
-    """Metres of a translation of 1."""
+    """Factor from translation numbers to metres."""
     rotation_scale_rad: float = 1.0
-    """Radians of a rotation of 1; for Euler angles and rotation vectors."""
+    """Factor from rotation numbers to radians; for Euler angles and rotation vectors."""
     joint_scale: float = 1.0
-    """Radians, or radians per second, of a joint's number of 1."""
+    """Factor from joint numbers to radians or radians per second."""
     response: ControllerResponse | None = None
     """Response of the controller that the policy was trained with, for deltas with three rotation numbers; none: every
     delta is executed in full within its tick."""

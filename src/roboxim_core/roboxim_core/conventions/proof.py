@@ -14,10 +14,10 @@ class Proof:
     date: str
     """Day of the comparison, ``YYYY-MM-DD``."""
     trained_with: str = ""
-    """Where the cameras of the training stood, in words."""
+    """Positions of the training's cameras, in words."""
     views: dict[str, str] = field(default_factory=dict)
-    """Key of a picture to the camera of ``config/cameras`` that stands where the training's stood, if it was one."""
+    """Picture key to the camera of ``config/cameras`` with the pose of the training's camera, where there is one."""
 
     def __hash__(self) -> int:
-        """Return the hash, which equal ones share."""
+        """Return the hash; equal values have equal hashes."""
         return hash((self.client, self.date))

@@ -1,6 +1,6 @@
-"""The state of a request: named vectors that a recipe composes of the robot's own measurements.
+"""The state of a request: named vectors that a recipe composes from the robot's measurements.
 
-A recipe is linear, so that it can be undone: `StateInput.split` returns the measurements that a vector states.
+A recipe is linear, so that it can be undone: `StateInput.split` returns the measurements in a vector.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class StatePart:
     values: tuple[float, ...] = ()
     """Numbers of ``constant``."""
     scale: float = 1.0
-    """Factor of the measurement's own unit: 1000 for millimetres. Not for ``gripper`` and ``constant``."""
+    """Factor on the measurement: 1000 converts metres to millimetres. Not for ``gripper`` and ``constant``."""
     components: tuple[int, ...] = ()
     """Indices of the components that are used, in this order, from 0; empty: all."""
 
@@ -179,7 +179,7 @@ class StateInput:
         return rows.astype(self.dtype)
 
     def size(self, joints: int) -> int:
-        """Return the number of components for a robot with so many arm joints."""
+        """Return the number of components for a robot with ``joints`` arm joints."""
         return sum(len(part.components) or (part.full_size(joints) or 0) for part in self.parts)
 
     def names(self, joint_names: Sequence[str]) -> tuple[str, ...]:
@@ -187,7 +187,7 @@ class StateInput:
         return tuple(name for part in self.parts for name in part.names(joint_names))
 
     def split(self, rows: npt.ArrayLike, frames: Frames, joints: int) -> ArmReadings:
-        """Return the measurements that vectors state; the inverse of `rows`.
+        """Return the measurements in vectors; the inverse of `rows`.
 
         Args:
             rows: Shape (n, size).
@@ -195,7 +195,7 @@ class StateInput:
             joints: Number of the robot's arm joints.
 
         Returns:
-            Measurements; those that the vector does not state completely are NaN (positions), the identity (rotations)
+            Measurements; those that the vector does not hold completely are NaN (positions), the identity (rotations)
             or empty (joints).
         """
         from scipy.spatial.transform import Rotation
@@ -253,7 +253,7 @@ def _values(part: StatePart, readings: ArmReadings, frames: Frames) -> Floats:
 
 
 def _with(known: ArmReadings, part: StatePart, block: Floats, frames: Frames) -> ArmReadings:
-    """Return measurements with those that a part's components state."""
+    """Return measurements, updated from a part's components."""
     match part.field:
         case StateField.TCP_POSITION:
             return replace(known, tcp_positions=frames.positions_in(block / part.scale))

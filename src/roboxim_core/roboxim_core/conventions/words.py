@@ -259,7 +259,7 @@ def _quiet(convention: Convention) -> Floats:
 
 
 def _example_number(convention: Convention, index: int) -> float:
-    """Return a number to show for a component: the end of its range, or one that is easily imagined."""
+    """Return an example number for a component: the end of its range, or one that gives a round effect."""
     action = convention.action
     if action.control.is_joint_space:
         bounds, number = action.joint_range, 0.1 / abs(action.joint_scale)

@@ -79,7 +79,7 @@ class Acting:
         """Delay of each answer [ticks]."""
 
     def due(self, seq: int) -> bool:
-        """Return whether the policy is to be asked at a tick."""
+        """Return whether a request to the policy is due at a tick."""
         return self._plan.due(seq)
 
     def finished(self, seq: int) -> bool:
@@ -92,7 +92,7 @@ class Acting:
         Args:
             chunk: The checked answer.
             state: The tick of its observation.
-            took_s: Wall time that it took [s]; counts in real time only.
+            took_s: Wall time that it took [s]; used in real time only.
 
         Raises:
             PolicyError: With code ``INVALID_ACTION`` when the number of joints is not the robot's.
@@ -118,7 +118,7 @@ class Acting:
         return TickAction(action=action, phase=planned.phase)
 
     def _converted(self, action: ActionArray, state: StateRecord) -> ActionArray:
-        """Return an action in the executed meaning; the numbers of an equal motion stay as they are."""
+        """Return an action in the executed meaning; motion numbers that need no conversion are not touched."""
         if self._declared == self.semantics:
             return action
         if self._transform is None:
@@ -134,7 +134,7 @@ class Acting:
             ) from None
 
     def _switched(self, action: ActionArray, state: StateRecord) -> ActionArray:
-        """Return an action with the gripper's command that the rule makes of it."""
+        """Return an action with the gripper command of the gripper rule."""
         if not self._rule.binary:
             return action
         self._switch = self._switch or GripperSwitch(self._rule, state.robot.gripper_command)

@@ -12,11 +12,11 @@ from roboxim_core.verdicts import Verdict
 
 KEEP_RULES = ("successful", "first_try", "all", "none")
 POLICY_DIED = "policy_died"
-"""Reason of an episode whose policy was not there to be asked: its server, or its own process."""
+"""Reason of an episode whose policy was lost: its server or its process was gone."""
 WORKER_DIED = "worker_died"
-"""Reason of an episode at which every process that tried to run it ended."""
+"""Reason of an episode that ended every process that tried to run it."""
 NOT_PLAYED = frozenset({POLICY_DIED, WORKER_DIED})
-"""Reasons of episodes that the policy did not play to their end. They are no results."""
+"""Reasons of episodes that the policy did not play to their end. They do not count as results."""
 
 
 LIMITS = {
@@ -281,7 +281,7 @@ class EpisodeResult:
 
     @property
     def played(self) -> bool:
-        """Whether this is a result: false if the policy was lost, which says nothing of what it can do."""
+        """Whether this counts as a result: false if the policy was lost, which does not measure the policy."""
         return self.reason not in NOT_PLAYED
 
     @property

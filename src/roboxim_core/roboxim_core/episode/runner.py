@@ -32,7 +32,7 @@ from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
 
 Request = EpisodeStart | ObservationWindow
-"""What an episode asks its actor: to start, answered by None, and for actions."""
+"""Requests of an episode to its actor: to start, answered by None, and for actions."""
 Play = Generator[Request, ActionChunk | None, EpisodeResult]
 """A running episode whose actions come from outside."""
 LEFT_WORKSPACE = "left_workspace"
@@ -147,7 +147,8 @@ class EpisodeRunner:
         self.description = ports.actor.describe()
         _require_consistent(self.description, config)
         self.warm = False
-        """Whether the policy has answered, so that what it loads or compiles at first no longer counts as thinking."""
+        """Whether the policy has answered once; what it loads or compiles before that does not count as thinking
+        time."""
         self.progress: tuple[str, int] = ("", 0)
         """Id and tick of the running episode, for progress displays."""
 
@@ -228,7 +229,7 @@ class EpisodeRunner:
         )  # fmt: skip
         limit = self.config.max_steps or draw.max_steps
         if not self.config.max_steps and scene.control_rate_hz != draw.scene.control_rate_hz:
-            limit = ticks(draw.max_steps / draw.scene.control_rate_hz, scene.control_rate_hz)  # the same time
+            limit = ticks(draw.max_steps / draw.scene.control_rate_hz, scene.control_rate_hz)  # the same duration
         episode = _Episode(self, info, seed, limit, cancelled)
         try:
             return (yield from episode.run(started))
@@ -240,7 +241,7 @@ class EpisodeRunner:
 
 
 def _answer(actor: ActorPort, request: Request) -> ActionChunk | None:
-    """Return an actor's answer to what an episode asks it."""
+    """Return an actor's answer to an episode's request."""
     if isinstance(request, EpisodeStart):
         actor.reset(request)
         return None
@@ -370,7 +371,7 @@ class _Episode:
         self.window.add(observation)
 
     def _warm_up(self, start: EpisodeStart) -> Generator[Request, ActionChunk | None, None]:
-        """In real time, ask once before the first episode: loading and compiling are no thinking."""
+        """In real time, ask once before the first episode: loading and compiling must not count as thinking time."""
         if self.config.real_time and not self.runner.warm:
             yield start
             self._observe()

@@ -7,7 +7,7 @@ from roboxim_core.specs import WorkspaceSpec
 
 
 class WorkspaceBox:
-    """A workspace in the world, asked with positions in the robot's base.
+    """A workspace in the world, queried with positions in the robot's base.
 
     Note: a position that starts outside of the box is not moved inside; it only cannot move farther out.
     """
@@ -24,7 +24,7 @@ class WorkspaceBox:
         self._base_is_identity = pose_base_in_world == IDENTITY
 
     def keep(self, now: Vec3, then: Vec3) -> Vec3 | None:
-        """Return the position at the border that replaces one that leaves the box or moves farther out of it.
+        """Return the border position that replaces a position outside the box.
 
         Args:
             now: Position before the motion, in the base [m].

@@ -1,1 +1,1 @@
-"""One description of each robot and object: sim realises it, planner collides with it, tasks reads its notes."""
+"""One description of each robot and object, for physics, collision checks and tasks."""

@@ -139,7 +139,7 @@ class Region:
     pose: Pose = IDENTITY
     """Pose of the middle of the surface, or of the interior's floor, in the link; z points up."""
     size: Vec3
-    """Extents along x and y; height: of an interior up to its rim, of a surface 0 [m]."""
+    """Extents along x and y, and height [m]: that of an interior up to its rim, 0 for a surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,7 +181,7 @@ AFFORDANCES = ("graspable", "support", "container", "articulated", "openable", "
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectNotes:
-    """What the file of an object says and its model keeps."""
+    """Fields that an object's file and its model share."""
 
     name: str
     """Noun used in instructions."""

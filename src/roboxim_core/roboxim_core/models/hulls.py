@@ -1,7 +1,7 @@
 """Convex hulls of mesh files, for collision.
 
-A hull is written once, as an OBJ file in the user's cache, whatever the mesh was (GLB, COLLADA, a scene of many parts):
-so the simulator and the planner read the same shape.
+A hull of any mesh format (GLB, COLLADA, a scene of many parts) is written once, as an OBJ file in the user's cache. The
+simulator and the planner therefore read the same shape.
 """
 
 from __future__ import annotations

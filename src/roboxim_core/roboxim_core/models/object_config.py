@@ -49,7 +49,7 @@ class ObjectConfig(ObjectNotes):
     """A YAML file of ``config/objects``."""
 
     mesh: str = ""
-    """Mesh file (GLB, OBJ, STL, ...) of the visual; its convex hull collides. Else give ``urdf`` or ``links``."""
+    """Mesh file (GLB, OBJ, STL, ...) of the visual; its convex hull collides. Alternatives: ``urdf``, ``links``."""
     mesh_scale: float = 1.0
     """Factor on the coordinates of ``mesh``, e.g. 0.001 for millimetres."""
     mass: float = 0.0
@@ -224,9 +224,9 @@ class ObjectConfig(ObjectNotes):
 
 
 def _unbounded(value: object, where: str = "") -> str | None:
-    """Return the name of the first number in a configuration that is none or beyond `LARGEST`; none: there is none."""
+    """Return the name of the first number in a configuration that is NaN or beyond `LARGEST`; None: all are valid."""
     if isinstance(value, int | float):
-        return None if abs(value) <= LARGEST else where  # NaN is not
+        return None if abs(value) <= LARGEST else where  # NaN fails the comparison
     items: Iterable[tuple[object, object]] = ()
     if is_dataclass(value):
         items = ((f.name, getattr(value, f.name)) for f in fields(value))

@@ -116,7 +116,7 @@ def mesh_path(name: str, urdf: Path) -> Path:
 
 
 def _package_name(folder: Path) -> str:
-    """Return the name of the ROS package whose root a folder is; empty: it is none."""
+    """Return the name of the ROS package at a folder; empty: the folder is not the root of a package."""
     try:
         return (ElementTree.parse(folder / "package.xml").getroot().findtext("name") or "").strip()
     except (OSError, ElementTree.ParseError, ValueError, LookupError):
@@ -124,7 +124,7 @@ def _package_name(folder: Path) -> str:
 
 
 class _Joint:
-    """A joint while fixed ones are folded away."""
+    """A joint during the removal of fixed joints."""
 
     def __init__(self, element: ElementTree.Element, path: Path) -> None:
         self.name, self.kind = element.get("name", ""), element.get("type", "")
@@ -268,7 +268,7 @@ def _number(text: str, where: str) -> float:
     """Return a finite number.
 
     Raises:
-        ConfigError: When the text is none, e.g. has a decimal comma.
+        ConfigError: When the text is not a number, e.g. has a decimal comma.
     """
     try:
         value = float(text)

@@ -284,7 +284,7 @@ def _load_mesh(path: str) -> tuple[VisualPart, ...]:
 
     try:
         scene = trimesh.load_scene(path, process=False)
-    except Exception as error:  # the readers of trimesh raise whatever they like
+    except Exception as error:  # trimesh's readers raise exceptions of any class
         raise ConfigError(f"cannot read the mesh {path}: {type(error).__name__}: {error}") from None
     parts = []
     for node in sorted(scene.graph.nodes_geometry):

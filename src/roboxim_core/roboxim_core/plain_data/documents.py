@@ -4,8 +4,8 @@ A few lines of YAML whose aliases repeat each other can expand to billions of va
 reader raise ``RecursionError``. Values and levels are therefore counted before anything is built.
 
 YAML is parsed by libyaml: it takes a thirteenth of the time of a parser in Python, and a command reads up to a hundred
-files. libyaml's grammar is that of YAML 1.1. What makes a difference for configurations is the meaning of plain
-scalars, and that is YAML 1.2's here: ``yes`` and ``on`` are text, ``017`` is 17.
+files. libyaml's grammar is that of YAML 1.1. Plain scalars, however, have the meaning of YAML 1.2: ``yes`` and ``on``
+are text, ``017`` is 17.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF32_LE, "UTF-32"), (codecs.BOM_UTF32_BE, "UTF-32"),  # before those of UTF-16, which they begin with
     (codecs.BOM_UTF16_LE, "UTF-16"), (codecs.BOM_UTF16_BE, "UTF-16"),
 )  # fmt: skip
-"""Marks at the beginning of a file, with the encoding that they tell."""
+"""Byte order marks and their encodings."""
 
 
 def read_text(path: Path | str, max_bytes: int = limits.YAML_BYTES) -> str:
@@ -82,7 +82,7 @@ def parse_yaml(text: str, *, source: str = "YAML") -> Any:
 
 
 class LocatedMap(dict[Any, Any]):
-    """A mapping whose keys may come from several files and which knows the line of each key."""
+    """A mapping with the line of each key; the keys may come from several files."""
 
     def __init__(self, items: Mapping[Any, Any], lines: Mapping[Any, str]) -> None:
         """Make a mapping.
@@ -96,7 +96,7 @@ class LocatedMap(dict[Any, Any]):
 
 
 class LocatedList(list[Any]):
-    """A list that knows the line of each item."""
+    """A list with the line of each item."""
 
     def __init__(self, items: Iterable[Any], lines: Mapping[Any, str]) -> None:
         """Make a list.
@@ -115,7 +115,7 @@ def line_of(data: Any, key: Any) -> str:
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]  # SafeLoader: PyYAML without libyaml
-    """Builds located mappings and lists, with the plain scalars of YAML 1.2; refuses a key that stands twice."""
+    """Builds located mappings and lists, with the plain scalars of YAML 1.2; refuses duplicate keys."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  (not those of YAML 1.1, which PyYAML would inherit)
 
@@ -125,7 +125,7 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
             raise _wrong("expected a mapping", node)
         own = [pair for pair in node.value if pair[0].tag != MERGE]
         node.value = [pair for pair in node.value if pair[0].tag == MERGE]
-        self.flatten_mapping(node)  # puts what they name in the place of the keys <<
+        self.flatten_mapping(node)  # replaces the keys << by what they name
         items: dict[Any, Any] = {}
         lines: dict[Any, str] = {}
         for key_node, value_node in own:
@@ -133,7 +133,7 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
             if isinstance(key, dict | list):
                 raise _wrong("a key must be one value, not a mapping or a list", key_node)
             if key in items:
-                raise _wrong(f"the key '{key}' stands twice in one mapping", key_node)
+                raise _wrong(f"the key '{key}' occurs twice in one mapping", key_node)
             items[key] = self.construct_object(value_node, deep=True)
             lines[key] = f"line {key_node.start_mark.line + 1}"
         merged = {self.construct_object(pair[0], deep=True): pair for pair in node.value}
@@ -194,7 +194,7 @@ def _check_size(text: str, source: str) -> None:
             values, levels = 1, 1
         elif isinstance(event, yaml.AliasEvent):
             if any(node.anchor == event.anchor for node in open_nodes):
-                _refuse(source, event, f"alias '*{event.anchor}' is inside of what it repeats")
+                _refuse(source, event, f"alias '*{event.anchor}' is inside the value that it repeats")
             values, levels = known.get(event.anchor, (1, 1))
         elif isinstance(event, yaml.ScalarEvent):
             values, levels = 1, 1
@@ -212,7 +212,7 @@ def _check_size(text: str, source: str) -> None:
             continue
         total += values
         if total > limits.DOCUMENT_NODES:
-            _refuse(source, event, f"more than {limits.DOCUMENT_NODES} values, what aliases repeat included")
+            _refuse(source, event, f"more than {limits.DOCUMENT_NODES} values, including those that aliases repeat")
         if len(open_nodes) + levels - 1 > limits.DOCUMENT_DEPTH:
             _refuse(source, event, f"more than {limits.DOCUMENT_DEPTH} levels of nesting")
         inside = open_nodes[:-1] if isinstance(event, yaml.SequenceStartEvent | yaml.MappingStartEvent) else open_nodes

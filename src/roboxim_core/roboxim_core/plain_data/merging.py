@@ -11,7 +11,7 @@ from roboxim_core.config import LocatedMap, line_of
 def merged(base: Any, change: Any) -> Any:
     """Return plain data with keys replaced recursively in mappings; lists and choices are replaced as a whole.
 
-    A key whose change is None is removed and has its default then.
+    A key that is changed to None is removed, so that its default applies.
 
     Every key keeps its line number, see `roboxim_core.config.line_of`.
     """

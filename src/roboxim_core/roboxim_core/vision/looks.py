@@ -23,11 +23,11 @@ class Room(LookSpec):
     """One look of a set: materials, lights and background, and from where the camera ``workspace`` looks."""
 
     view: str = ""
-    """Camera file of ``config/cameras`` for the camera ``workspace``; empty: as the task says."""
+    """Camera file of ``config/cameras`` for the camera ``workspace``; empty: the task's choice."""
 
     @property
     def look(self) -> LookSpec:
-        """The look alone."""
+        """The look without the camera."""
         return LookSpec(**{field.name: getattr(self, field.name) for field in fields(LookSpec)})
 
 

@@ -32,7 +32,7 @@ def test_aliases_are_counted_by_what_they_repeat():
         ("- " * 3000 + "x", "line 1: more than 64 levels"),
         ("{a: " * 3000, "line 1: more than 64 levels"),
         ("\n".join(" " * n + "a:" for n in range(70)), "line 6[0-9]: more than 64 levels"),
-        ("a: &a [*a]", r"line 1: alias '\*a' is inside of what it repeats"),
+        ("a: &a [*a]", r"line 1: alias '\*a' is inside the value that it repeats"),
         ("a: *nothing", "line 1: not valid YAML"),
         ("a: 2024-99-99", "not valid YAML"),
         ("a: " + "9" * 5000, "not valid YAML"),
@@ -84,7 +84,7 @@ def test_merged_keys_follow_the_own_ones_and_know_their_lines():
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("a: 1\nb: 2\na: 3", "line 3: not valid YAML: the key 'a' stands twice"),
+        ("a: 1\nb: 2\na: 3", "line 3: not valid YAML: the key 'a' occurs twice"),
         ("x: 1\n[a]: 1", "line 2: not valid YAML: a key must be one value"),
         ("x: 1\na: !thing 1", "line 2: not valid YAML: could not determine a constructor"),
         ("a: 1\n---\nb: 2", "line 2: not valid YAML"),
