@@ -15,14 +15,14 @@ from roboxim_core.errors import ConfigError, UnavailableError, one_of
 
 T = TypeVar("T")
 LOOK_S = 3.0
-"""Longest search for a name in a graph whose nodes are all seen [s]."""
+"""Longest search for a name in a graph whose known nodes are all discovered [s]."""
 PATIENCE_S = 60.0
 """Longest wait for the run's known nodes [s]; discovery is slow on a busy machine."""
 LOOK_PERIOD_S = 0.01
 """Time between two queries of the graph [s]."""
 QUIET_LOOKS = 25
-"""Number of queries without a change after which the graph counts as known. Queries, not seconds: a busy machine delays
-both."""
+"""Number of queries without a change after which the graph counts as known. Counted in queries because a busy machine
+delays discovery and queries alike."""
 
 
 def _complete_runs(*_: Any) -> list[str]:
@@ -96,7 +96,7 @@ class Peer:
         self.node = self.clients.node
 
     def close(self) -> None:
-        """Destroy the node in order; a peer that vanishes delays the next command's answers."""
+        """Destroy the node properly; a peer that just disappears delays the answers to the next command."""
         self.clients.close()
         self.host.close()
 
@@ -108,7 +108,7 @@ class Peer:
         """Wait until a search of the graph succeeds.
 
         Args:
-            find: Returns the found value, or none.
+            find: Returns the value, or None.
             missing: Returns the error's message.
 
         Raises:
@@ -217,7 +217,7 @@ def absolute(name: str) -> str:
 
 
 def is_own_service(name: str) -> bool:
-    """Return whether a service is a node's own, not one that every node has."""
+    """Return whether a service is specific to its node, unlike the services that every node has."""
     return not name.endswith(("_parameters", "_parameter_types", "_parameters_atomically", "/get_type_description"))
 
 

@@ -55,7 +55,7 @@ class CoreTasks:
         solvability: Solvability | None = None,
         segmentation: CoreSegmentation | None = None,
     ) -> None:
-        """Draw scenes that have a solution and whose cameras see the named objects, where the checks are given."""
+        """Draw scenes; with the checks, only those that have a solution and whose cameras see the named objects."""
         self.generator = EpisodeGenerator(library, solvability, Visibility(segmentation) if segmentation else None)
         self._parse = lru_cache(maxsize=16)(parse_task_config)
         self._judge: Judge | None = None
@@ -102,7 +102,7 @@ class CoreSim:
         return f"{self._renderer.name} ({self._renderer.device})"
 
     def load(self, episode_id: str, scene: SceneSpec, semantics: ActionSemantics | None = None) -> StateRecord:
-        """Rebuild the world for actions of a meaning, the default unless given: tick 0."""
+        """Rebuild the world for actions of a meaning (default: end-effector deltas) and return tick 0."""
         record = self.world.load(scene, episode_id, semantics)
         if scene.cameras:
             self._rig.load(render_world(scene, self.library), scene)
@@ -127,7 +127,7 @@ class CoreSim:
         )
 
     def release(self, episode_id: str) -> None:
-        """Give the lease back."""
+        """Release the lease."""
         self.world.release(episode_id)
 
     def close(self) -> None:

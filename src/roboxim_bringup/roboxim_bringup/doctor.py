@@ -36,9 +36,9 @@ class Finding:
     """Result of one check."""
 
     name: str
-    """What it is."""
+    """Subject of the check."""
     state: str
-    """``ok``, ``warning`` (something works worse or not at all), ``missing`` (RoboXim does not work), or ``absent`` (an
+    """``ok``, ``warning`` (a part works worse or not at all), ``missing`` (RoboXim does not work), or ``absent`` (an
     optional part is not installed)."""
     detail: str
     """What was found."""
@@ -62,13 +62,13 @@ def examine() -> Iterator[Finding]:
 
 
 def _rated(name: str, good: bool, detail: str, otherwise: str = "warning", **more: str) -> Finding:
-    """Return the finding of a check that is either good or not.
+    """Return the finding of a check with a yes-or-no result.
 
     Args:
-        name: What it is.
-        good: Whether it is as it should be.
+        name: Subject of the check.
+        good: Whether the check passed.
         detail: What was found.
-        otherwise: State of a finding that is not good.
+        otherwise: State of the finding if the check failed.
         **more: ``remedy``, ``without`` and ``purpose`` of the finding.
     """
     return Finding(name=name, state="ok" if good else otherwise, detail=detail, **more)
@@ -224,7 +224,7 @@ def _shared_memory() -> Finding:
 
 
 def _terminal() -> Finding:
-    """Tell what of this terminal belongs to another ROS and was left out; see `roboxim_ros.environment`."""
+    """Report settings of another ROS that are ignored in this terminal; see `roboxim_ros.environment`."""
     from roboxim_ros.environment import LEFT_OUT, set_log_folder
 
     set_log_folder()
@@ -319,8 +319,8 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     _plugins,
     _graph,
 )
-"""Quick ones first."""
+"""The quick checks come first."""
 PROBES: tuple[Callable[[], Finding], ...] = (_renderers, _photo)
 """Checks that wait for other processes."""
 REQUIRED = (_python, _ros_wheels, _interfaces, _libraries, _terminal, _shared_memory, _graph, _renderers)
-"""Checks of what RoboXim does not work without."""
+"""Checks of parts without which RoboXim does not work."""

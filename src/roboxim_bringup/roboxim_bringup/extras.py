@@ -1,7 +1,7 @@
 """The extras of the distribution `roboxim`: optional dependencies, and the modules that they bring.
 
-The base installation holds what simulating, planning, recording and evaluating need. What learns, reads or writes
-LeRobot datasets, imports meshes, or runs on a cluster needs an extra: ``pip install 'roboxim[learn]'``.
+The base installation simulates, plans, records and evaluates. Learning, LeRobot datasets, the import of meshes and runs
+on a cluster need an extra: ``pip install 'roboxim[learn]'``.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def absent(extra: str) -> tuple[str, ...]:
 
 
 def missing_sentence(extra: str, modules: tuple[str, ...]) -> str:
-    """Say which extra is missing, what it is for, and how to install it."""
+    """Return a message that names a missing extra, its purpose, and how to install it."""
     return f"{PURPOSES[extra]} needs the extra '{extra}' ({', '.join(modules)} not installed): {install_command(extra)}"
 
 

@@ -1,4 +1,4 @@
-"""Records the topics of a running graph as they come: any driving, any node. The bag is not an episode."""
+"""Records topics of a running graph as they come, whatever controls the robot. The bag is not an episode."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Graph(Protocol):
 
 
 class LiveRecording:
-    """A growing bag. A context manager: what was recorded is whole at its end. Messages come in the node's thread."""
+    """A growing bag. A context manager: the bag is complete at its end. Messages arrive in the node's thread."""
 
     def __init__(self, folder: Path, look_up: Callable[[str], Any], topics: Collection[str] = ()) -> None:
         """Make the bag.
@@ -55,7 +55,7 @@ class LiveRecording:
         self._layouts: dict[str, MessageLayout] = {}
         self._flushed = time.monotonic()
         self.left_out: list[str] = []
-        """Topics that could not be recorded, with the reason."""
+        """Topics that cannot be recorded, with the reason."""
 
     @property
     def counts(self) -> dict[str, int]:

@@ -1,10 +1,10 @@
 """One node as an executable, for ``ros2 run`` and ``ros2 launch``: ``ros2 run roboxim_bringup sim --ros-args ...``.
 
-`roboxim up` needs none of this: it starts, supervises and registers a whole graph. Without an installed ROS 2 the same
-is ``python -m roboxim_bringup.node_main sim --ros-args ...``.
+`roboxim up` does not use this module: it starts, supervises and registers a whole graph. Without an installed ROS 2,
+run ``python -m roboxim_bringup.node_main sim --ros-args ...``.
 
-The domain is that of ``ROS_DOMAIN_ID``. As with every node that is started this way, all hosts that reach this one can
-reach the node; ``ROBOXIM_TRANSPORT=user`` restricts it to this user's processes, which then need the same variable.
+The domain is that of ``ROS_DOMAIN_ID``. As with every node that is started by ``ros2``, all hosts that reach this host
+can reach the node; ``ROBOXIM_TRANSPORT=user`` restricts it to this user's processes, which then need the same variable.
 """
 
 from __future__ import annotations

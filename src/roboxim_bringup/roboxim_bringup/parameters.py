@@ -16,7 +16,7 @@ def parse_assignments(assignments: Iterable[str], *, node: str = "") -> dict[str
 
     Args:
         assignments: The words.
-        node: The node that names without a node belong to; empty: every node that declares them.
+        node: Node of the parameters that are given without one; empty: every node that declares them.
 
     Returns:
         Node name to parameter name to value.
@@ -63,7 +63,7 @@ def read_params_files(files: Iterable[str | Path], *, namespace: str = "") -> di
     """Read ROS 2 parameter files: ``node: {ros__parameters: {name: value}}``, ``/**`` for every node.
 
     Args:
-        files: Later ones win.
+        files: The files; later ones override earlier ones.
         namespace: Namespace of the graph; the files may give node names with or without it.
 
     Returns:
@@ -106,7 +106,7 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def merge(*parts: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Merge parameters by node; later ones win."""
+    """Merge parameters by node; later ones override earlier ones."""
     merged: dict[str, dict[str, Any]] = {}
     for part in parts:
         for node, values in part.items():

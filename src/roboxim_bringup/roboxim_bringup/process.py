@@ -17,7 +17,7 @@ _PR_SET_PDEATHSIG = 1
 _MALLOPT = {"M_ARENA_MAX": (-8, 1), "M_MMAP_MAX": (-4, 0), "M_TRIM_THRESHOLD": (-1, 2**31 - 1)}
 """Options of glibc's ``malloc.h`` with their numbers and the values that make `keep_freed_memory`."""
 THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
-"""Environment variables that say how many threads NumPy and OpenCV use; a child gets 1 unless they are set."""
+"""Environment variables with the number of threads of NumPy and OpenCV; a child gets 1 unless they are set."""
 
 
 __all__ = ["clean_environment", "describe_exit", "die_with_parent", "keep_freed_memory", "spawn", "stop", "tell_ready"]
@@ -35,14 +35,14 @@ def die_with_parent(parent: int) -> None:
 
 
 def keep_freed_memory() -> bool:
-    """Have the C library keep memory that is freed for this process's next allocations; see ``man mallopt``.
+    """Have the C library keep freed memory for this process's next allocations; see ``man mallopt``.
 
     A training step of XLA allocates and frees large buffers. By default glibc returns them to the kernel, which hands
-    out zeroed pages again at the next step, thousands of page faults each time. `make bench-bc_training` measures what
-    that costs; on an idle machine it is little.
+    out zeroed pages again at the next step, thousands of page faults each time. `make bench-bc_training` measures the
+    cost, which is small on an idle machine.
 
     Returns:
-        Whether the C library took all settings; others than glibc have none.
+        Whether the C library took all settings; C libraries other than glibc lack them.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     return mallopt is not None and all(mallopt(option, value) for option, value in _MALLOPT.values())
@@ -61,12 +61,12 @@ def spawn(
 ) -> subprocess.Popen[bytes]:
     """Start ``python -m module arguments`` as a child that dies with the calling *thread*.
 
-    The child has a process group of its own: Ctrl-C reaches the parent alone, which ends its children in order.
+    The child has a process group of its own: Ctrl-C reaches only the parent, which ends its children properly.
 
     Args:
         module: A module that calls `die_with_parent` with ``$ROBOXIM_PARENT`` when it starts.
         arguments: Its arguments.
-        output: Destination of its stdout and stderr; none: as for this process.
+        output: Destination of its stdout and stderr; none: those of this process.
         ready: Write end of a pipe, which the child gets as ``$ROBOXIM_READY``; see `tell_ready`.
         environment: Environment variables in addition to those inherited.
         inherited: Environment variables that it inherits; none: those of this process.

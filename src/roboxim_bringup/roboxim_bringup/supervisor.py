@@ -29,7 +29,7 @@ class Child:
     name: str
     """Node, or the policy's namespace."""
     config: GraphConfig
-    """What it runs."""
+    """Its node or policy, with parameters."""
     process: subprocess.Popen[bytes]
     """The process."""
     started: float

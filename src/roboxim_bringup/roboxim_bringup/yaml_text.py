@@ -17,13 +17,15 @@ def parse(text: str, *, source: str) -> Any:
     Raises:
         ConfigError: When the text is not YAML; the message names the line.
     """
-    from roboxim_core.config import parse_yaml  # here: imports numpy, which most commands avoid
+    from roboxim_core.config import (
+        parse_yaml,
+    )  # imports numpy, which most commands do not need
 
     return plain(parse_yaml(text, source=source))
 
 
 def plain(value: Any) -> Any:
-    """Convert the parser's own types, which keep lines, to plain values."""
+    """Convert the parser's types, which store line numbers, to plain values."""
     if isinstance(value, dict):
         return {plain(key): plain(item) for key, item in value.items()}
     if isinstance(value, list):

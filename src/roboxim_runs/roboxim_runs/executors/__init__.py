@@ -1,4 +1,4 @@
-"""Executors: run jobs that are plain data, anywhere, with the same results.
+"""Executors run jobs that are plain data, on one machine or many, with the same results.
 
 `protocol` defines jobs, workers and executors; `local` runs jobs on processes of this machine, `inline` in
 the calling process. A run of any kind (episodes, rendering, a benchmark) hands its jobs to one of them.

@@ -1,12 +1,12 @@
-"""Worker processes that outlive their run, so that the next run of the same kind need not start any.
+"""Worker processes that outlive their run, so that the next run of the same kind need not start its own.
 
 The start of an episode worker imports the whole graph and a policy's libraries and compiles the policy: several seconds
 of processor time, more than a short evaluation's episodes. A kept process closes its worker after a run and makes
 another one for the next.
 
 Non-obvious:
-- Only a work that says so (`Work.leaves_nothing`) shares processes: a policy of the user's could keep a model in a
-  module's variable, and the next policy would find it.
+- Only a work that declares `Work.leaves_nothing` shares processes: a user's policy could keep a model in a module's
+  variable, and the next policy would use it.
 - A child dies with the thread that started it, so all are started by one thread of this class.
 """
 
@@ -26,14 +26,15 @@ from roboxim_bringup.process import stop
 Spawned = tuple[subprocess.Popen[bytes], "Connection[Any, Any]"]
 """A worker's process, and the connection to it."""
 MOST_WORKS = 8
-"""Works that a process serves before it ends: what libraries keep of each, e.g. compiled policies, adds up."""
+"""Number of works that a process serves before it ends; memory that libraries keep of each work, e.g. compiled
+policies, adds up."""
 
 
 class KeptProcesses:
-    """Idle worker processes. A context manager, at whose end they end; used by several threads."""
+    """Idle worker processes. A context manager that ends them on exit; used by several threads."""
 
     def __init__(self) -> None:
-        """Keep none yet."""
+        """Start without processes."""
         self._starter = ThreadPoolExecutor(max_workers=1, thread_name_prefix="kept-workers")
         self._lock = threading.Lock()
         self._idle: list[Spawned] = []
@@ -54,7 +55,7 @@ class KeptProcesses:
         return found
 
     def take(self) -> Spawned | None:
-        """Return an idle process, which is the caller's now; none: there is none."""
+        """Return an idle process, which then belongs to the caller; None: no process is idle."""
         with self._lock:
             while self._idle:
                 process, connection = self._idle.pop()
@@ -68,7 +69,7 @@ class KeptProcesses:
         """Keep a process whose worker is closed, unless it has served `MOST_WORKS`."""
         with self._lock:
             if self._works[process.pid] >= MOST_WORKS:
-                connection.close()  # which ends it
+                connection.close()  # the process ends on this
                 return
             self._idle.append((process, connection))
 

@@ -1,9 +1,9 @@
-"""Hands the jobs of a run to several workers, wherever these are, and replaces workers that die.
+"""Hands the jobs of a run to several workers on any machines, and replaces workers that die.
 
 Each worker has a thread here, which makes it, gives it jobs, and lives as long as the worker.
 
-Non-obvious: a replaced worker gets a *new* number, after which its graph's namespace is named. The services of a dead
-graph stay visible until their lease runs out, and a request of another process to them would never be answered.
+Non-obvious: a replaced worker gets a *new* number, from which its graph's namespace is named. The services of a dead
+graph stay visible until their lease runs out, and requests to them are never answered.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Place(Protocol):
     """One worker, in a process here or on another machine. Used by one thread."""
 
     log: str
-    """Where its output is."""
+    """Path of its output."""
 
     def start(self) -> None:
         """Start the worker; returns when it is ready.
@@ -39,7 +39,7 @@ class Place(Protocol):
         Raises:
             ClosingError: When the run is over.
             RoboximError: On a fault that a new worker does not recover from.
-            WorkerDiedError: When it ended.
+            WorkerDiedError: When the worker ended.
         """
         ...
 
@@ -61,7 +61,7 @@ class Place(Protocol):
         """End the worker and free everything.
 
         Returns:
-            Whether something from outside had ended it before: a signal, a lost machine.
+            Whether the worker had been ended from outside before: by a signal or a lost machine.
         """
         ...
 
@@ -114,7 +114,7 @@ class Pool:
                     thread.join()
 
     def places(self) -> list[Place]:
-        """Return the workers that there are now."""
+        """Return the current workers."""
         return [slot.place for slot in self._slots if slot.place is not None]
 
     def _next_event(self, cancellation: Cancellation | None) -> _Event:
@@ -149,7 +149,7 @@ class _Slot(threading.Thread):
             self._end()
 
     def _next(self) -> tuple[Job, int] | None:
-        """Return the next job and the number of workers that have died at it."""
+        """Return the next job and the number of workers that have died while running it."""
         if self.pool.closing.is_set():
             raise ClosingError
         try:
@@ -179,7 +179,7 @@ class _Slot(threading.Thread):
                 self.pool.events.put(Lost(key=job.key, message=message))
 
     def _start(self) -> Place:
-        """Start a worker. Retry when something from outside ends it, but not when it reports an error."""
+        """Start a worker. Retry if it is ended from outside, but not if it reports an error."""
         for attempt in range(1, MAX_TRIES + 1):
             self.place = self.pool.make_place(next(self.pool.numbers), self.pool.closing)
             try:

@@ -1,4 +1,4 @@
-"""What executors share whose workers run in processes of their own."""
+"""Base class of executors whose workers run in their own processes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class PooledExecutor(ABC):
 
     @abstractmethod
     def places(self) -> AbstractContextManager[PlaceFor]:
-        """Provide for a run what all of its workers need; gives the function that makes one."""
+        """Prepare the resources that all workers of a run share; yields the function that makes a worker."""
 
     def run(
         self,
@@ -44,7 +44,7 @@ class PooledExecutor(ABC):
         """Run jobs; see `Executor.run`.
 
         Raises:
-            ConfigError: When the workers' machines have other software than this one.
+            ConfigError: When the workers' machines have different software from this one.
             UnavailableError: When a worker cannot start, with the end of its log.
         """
         with self.places() as place_for:

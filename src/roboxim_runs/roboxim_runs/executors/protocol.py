@@ -36,7 +36,7 @@ class CancelledError(RoboximError):
 
 
 class WorkerBrokenError(Exception):
-    """A worker can do no further job; a new worker repeats the job."""
+    """A worker cannot do further jobs; a new worker repeats the job."""
 
 
 class Worker(Protocol):
@@ -65,7 +65,7 @@ class Worker(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    """What the workers of a run do, as plain data."""
+    """Task of a run's workers, as plain data."""
 
     worker: str
     """``module:name`` of a callable ``(settings, number) -> Worker``; every started worker gets a new number."""
@@ -76,8 +76,8 @@ class Work:
     python_path: tuple[str, ...] = ()
     """Folders searched for the worker's module before the installed packages."""
     leaves_nothing: bool = False
-    """Whether a closed worker leaves nothing in its process that another work's results could depend on. Then the
-    process may serve another such work; see `roboxim_runs.executors.kept`."""
+    """Whether a closed worker leaves nothing in its process that could change another work's results. Such a process
+    may serve another such work; see `roboxim_runs.executors.kept`."""
 
     def make_worker(self, number: int) -> Worker:
         """Make a worker in this process and thread.
@@ -139,12 +139,12 @@ class Lost:
 
 
 Prepare = Callable[[Work, int, threading.Event], Work]
-"""Returns a work for the worker of a number, with what may have changed since the run began, e.g. a server's address.
+"""Returns the work for the worker with a number, updated with changes since the run began, e.g. a server's address.
 It may wait, in the worker's thread; when the event is set it raises `roboxim_runs.executors.pool.ClosingError`."""
 
 
 def unchanged(work: Work, number: int, closing: threading.Event) -> Work:
-    """Return the work as it is; a `Prepare`."""
+    """Return the work unchanged; a `Prepare`."""
     return work
 
 
@@ -170,7 +170,7 @@ class Executor(Protocol):
             jobs: The jobs.
             on_note: Called with the workers' messages, in the thread that iterates.
             before_retry: Called with the key of a job whose worker died, before another worker repeats it, possibly in
-                another thread. It removes what the dead worker left.
+                another thread. It removes the dead worker's files.
             cancellation: Ends the run when it is set.
             prepare: Called before each worker starts; returns its work.
 

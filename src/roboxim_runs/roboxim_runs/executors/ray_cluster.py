@@ -1,10 +1,10 @@
 """Runs jobs on the nodes of a Ray cluster. Ray is imported when a run begins, and only then.
 
 Non-obvious:
-- Ray decides where a worker runs and says when a node is lost. Jobs, retries and results are RoboXim's own
+- Ray decides where a worker runs and reports lost nodes. RoboXim itself handles jobs, retries and results
   (`roboxim_runs.executors.pool`), so that a run is the same on every executor.
-- A worker on a node that is cut off may live on for seconds beside the one that repeats its job. So workers of a
-  cluster never write where finished episodes are; see ``staged``.
+- A worker on a disconnected node may go on for seconds while another one repeats its job. Workers of a cluster
+  therefore never write into the folder of finished episodes; see ``staged``.
 - When the cluster's head is lost for long, Ray ends the process that runs the jobs. The same command continues.
 """
 
@@ -29,15 +29,15 @@ from roboxim_runs.executors.protocol import Work
 from roboxim_runs.executors.worker_process import READY_S, STALL_S
 
 POLL_S = 1.0
-"""Longest time between two questions to an actor [s]; progress is as old."""
+"""Longest time between two requests to an actor [s]; progress is at most this old."""
 PLACED_S = 600.0
 """Longest wait for a node with free resources [s]."""
 GONE_S = 60.0
-"""An actor that does not answer for so long counts as lost [s]."""
+"""Time without an answer after which an actor counts as lost [s]."""
 CONNECT_S = 20.0
 """Longest wait for a connection to the cluster's head [s]."""
 OWN_CLUSTER = {"agent_register_timeout_ms": 120_000, "worker_niceness": 0}
-"""Settings of clusters on this machine. With Ray's defaults, a busy machine's nodes end when their agents do not start
+"""Settings of clusters on this machine. With Ray's defaults, nodes of a busy machine end when their agents do not start
 within 15 s, and workers run at niceness 15, so that any other program delays them."""
 MISSING = (
     "the executor 'ray' needs Ray, which is not installed; install it on all machines with: pip install 'roboxim[ray]'"
@@ -48,7 +48,8 @@ class RayExecutor(PooledExecutor):
     """Runs jobs on a Ray cluster, one worker per actor."""
 
     staged = True
-    """Workers may outlive their loss, so each writes into a folder of its own, from which the run takes its results."""
+    """A worker may still write after it counts as lost, so each writes into its own folder, from which the run takes
+    the results."""
 
     def __init__(
         self,
@@ -65,7 +66,8 @@ class RayExecutor(PooledExecutor):
             workers: Largest number of workers in the cluster, >= 1; never more than jobs.
             address: Address of the cluster, e.g. ``auto`` or ``ray://host:10001``; empty: a cluster on this machine,
                 for this run.
-            resources: What a worker takes of a node: ``CPU``, ``GPU``, or names of the cluster; none: one CPU.
+            resources: Resources that a worker occupies: ``CPU``, ``GPU``, or names that the cluster defines; none: one
+                CPU.
             stall_s: A worker that is silent for this time counts as dead [s].
             option: Name of the option that sets the resources, for errors.
 
@@ -142,7 +144,7 @@ def _connected(address: str, workers: int) -> Iterator[Any]:
 
 
 def _require_listening(address: str) -> None:
-    """Refuse an address at which nobody listens at once; Ray itself tries for minutes.
+    """Refuse an unreachable address at once; Ray itself tries for minutes.
 
     Raises:
         OSError: When there is no connection.
@@ -161,7 +163,7 @@ def _own_cluster(workers: int) -> dict[str, Any]:
 
 
 class _Crew:
-    """The workers of a run that have a node. While there are some, further ones may wait for a node."""
+    """The workers of a run that have a node. As long as there are any, further workers may wait for a node."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

@@ -37,20 +37,20 @@ PASSED_ON = (
 )  # fmt: skip
 """Variables of the node that the worker inherits."""
 PREFIXES = ("AWS_", "AZURE_", "FSSPEC_", "GOOGLE_", "JAX_", "LP_", "ROBOXIM_", "XLA_", "__EGL_")
-"""Beginnings of further ones."""
+"""Prefixes of further variables."""
 NOT_PASSED_ON = ("ROBOXIM_PARENT", "ROBOXIM_READY", "ROBOXIM_RUN")
 COMPARED = ("roboxim", "numpy", "pin", "pybullet", "ompl", "ruckig", "moderngl", "mcap", "zstandard")
 """Packages whose versions results depend on."""
 
 
 def software() -> dict[str, str]:
-    """Return what must be equal on all machines for equal results."""
+    """Return the versions that must be equal on all machines for equal results."""
     packages = {name: version(name) for name in COMPARED}
     return {"Python": platform.python_version(), "processor": platform.machine(), **packages}
 
 
 class RayWorker:
-    """The actor. `begin` gives the worker a job, `poll` tells what it has reported since."""
+    """The actor. `begin` gives the worker a job, `poll` returns its reports since the last call."""
 
     def __init__(self, work: Mapping[str, Any], number: int, stall_s: float, folder: str) -> None:
         """Start the worker.

@@ -1,4 +1,4 @@
-"""Runs jobs of which none may be lost, on workers of this machine unless an executor is given."""
+"""Runs jobs that must all succeed, on workers of this machine unless an executor is given."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def run_required(
 
     Args:
         work: The workers' work.
-        jobs: The jobs; without any, no worker starts.
-        lost: What it means that a job is lost, with ``{}`` for its key, e.g. ``bag {} was not read``.
+        jobs: The jobs; if there are none, no worker starts.
+        lost: Message for a lost job, with ``{}`` for its key, e.g. ``bag {} was not read``.
         executor: Runs the jobs; none: this process, or several processes of this machine.
         workers: Processes of this machine; 1: this process.
         log_dir: Folder of their output; none: a temporary folder.
@@ -49,4 +49,4 @@ def run_required(
             yield outcome
     finally:
         if isinstance(outcomes, Generator):
-            outcomes.close()  # ends the other workers now, not when the error is forgotten
+            outcomes.close()  # ends the other workers now, not when the error is garbage-collected

@@ -2,7 +2,7 @@
 
 It reads pairs of a kind and its content from the connection: ``work`` makes a worker, ``job`` is for it, ``rest``
 closes it, after which another ``work`` may follow. It answers with such pairs (``ready``, ``note``, ``done``,
-``failed``, ``broken``, ``resting``), all as JSON. What it prints goes to the log that the work names. It ends on
+``failed``, ``broken``, ``resting``), all as JSON. Its printed output goes to the log that the work names. It ends on
 SIGTERM, when the connection is closed, and with its parent.
 """
 
@@ -73,7 +73,7 @@ def _serve(connection: Connection[Any, Any], send: Send) -> int | None:
         del worker
         send("resting")
         gc.unfreeze()
-        gc.collect()  # of graphs and policies, whose parts refer to one another; nobody waits for it
+        gc.collect()  # frees graphs and policies, whose parts refer to one another; no caller waits for this
     return code
 
 
@@ -90,7 +90,7 @@ def _made(work: dict[str, Any], number: int, log: str) -> Worker:
 
 
 def _run_jobs(worker: Worker, connection: Connection[Any, Any], send: Send) -> int | None:
-    """Run jobs; return the exit code, or none when the worker shall rest."""
+    """Run jobs; return the exit code, or None if the worker becomes idle."""
     first = True
     while True:
         try:
@@ -103,7 +103,7 @@ def _run_jobs(worker: Worker, connection: Connection[Any, Any], send: Send) -> i
             send("done", worker.run(job, lambda note: send("note", note)))
             if first:
                 first = False
-                gc.freeze()  # what is loaded stays: a search for garbage among it takes 0.15 s, every few episodes
+                gc.freeze()  # loaded modules stay: collecting garbage among them would take 0.15 s every few episodes
         except WorkerBrokenError as broken:
             send("broken", str(broken))
             return 1

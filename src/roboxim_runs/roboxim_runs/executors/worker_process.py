@@ -27,11 +27,11 @@ from roboxim_runs.executors.pool import ClosingError, WorkerDiedError
 from roboxim_runs.executors.protocol import Work
 
 READY_S = 900.0
-"""Longest start of a worker [s]; a policy may compile meanwhile, on a machine that has other work."""
+"""Longest start of a worker [s]; a policy may compile on a busy machine meanwhile."""
 STALL_S = 300.0
 """A worker that is silent for this time counts as dead [s]."""
 EXIT_S = 10.0
-"""Longest time for a worker that broke off to exit by itself [s]."""
+"""Longest time for a broken worker to exit by itself [s]."""
 REST_S = 30.0
 """Longest time for a worker to close within its process [s]."""
 LOG_LINES = 15
@@ -53,7 +53,7 @@ class WorkerProcess:
         folder: str | None = None,
         kept: KeptProcesses | None = None,
     ) -> None:
-        """Store what the worker is; `start` starts it.
+        """Store the worker's settings; `start` starts it.
 
         Args:
             work: Its work.
@@ -63,8 +63,8 @@ class WorkerProcess:
             stall_s: A worker that is silent for this time counts as dead [s].
             inherited: Environment that the work's variables are added to; none: this process's.
             folder: Working directory; none: this process's.
-            kept: Processes of earlier works, which this worker may continue in, and whose number it joins when it ends;
-                none: the process is its own.
+            kept: Idle processes of earlier works. The worker uses one of them if there is one, and returns its process
+                to them at the end; none: it starts its own process.
         """
         self.log = str(log_dir / f"worker-{number}.log")
         self.process: subprocess.Popen[bytes] | None = None
@@ -81,7 +81,7 @@ class WorkerProcess:
         if self._kept is not None and (found := self._kept.take()) is not None:
             try:
                 self._begin(found)
-            except WorkerDiedError:  # it may have died at rest, of what an earlier work did
+            except WorkerDiedError:  # an earlier work may have made it die while idle
                 self._stop()
             else:
                 return
@@ -110,7 +110,7 @@ class WorkerProcess:
         if self._kept is None:
             environment = self._work.environment
             return make()
-        environment = {}  # each work sets its own
+        environment = {}  # each work sets its own variables
         return self._kept.spawned(make)
 
     def run(self, job: Any, on_note: Callable[[Any], None]) -> Any:
@@ -125,11 +125,11 @@ class WorkerProcess:
             if kind != "note":
                 self._raise_for(kind, content)
             on_note(content)
-            if self._closing.is_set():  # a worker that never falls silent must end as well
+            if self._closing.is_set():  # a worker that keeps sending messages must end as well
                 raise ClosingError
 
     def end(self) -> bool:
-        """End the process, if there is one, or let it rest; see `Place.end`."""
+        """End the process, or keep it idle for a later work; see `Place.end`."""
         if self._kept is not None and self._idle and self._rests():
             assert self.process is not None
             assert self._connection is not None
@@ -139,7 +139,7 @@ class WorkerProcess:
         return self._stop()
 
     def _stop(self) -> bool:
-        """End the process; return whether something from outside had ended it before."""
+        """End the process; return whether it had been ended from outside before."""
         if self._connection is not None:
             self._connection.close()
             self._connection = None

@@ -1,6 +1,6 @@
-"""Whether this version of RoboXim reads what another one wrote: `roboxim upgrade-check`.
+"""Whether this version of RoboXim reads the files of another version: `roboxim upgrade-check`.
 
-Each artefact is read by the reader that the commands use, so that a finding is what a user would meet.
+Each artefact is read by the reader that the commands use, so a user would see the same errors.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ FORMATS: dict[str, str | int] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Readability:
-    """Whether an artefact is read."""
+    """Whether an artefact can be read."""
 
     kind: str
     """``run``, ``bag``, ``card`` or ``checkpoint``."""
     path: Path
     readable: bool
     detail: str
-    """What it holds, or why it is not read and what to do."""
+    """Its content, or why it cannot be read and what to do."""
 
 
 def examine(folder: Path) -> Iterator[Readability]:
-    """Read every run, bag, card and checkpoint of a folder, and yield what was found.
+    """Read every run, bag, card and checkpoint of a folder, and yield the findings.
 
     Raises:
         ConfigError: The folder is missing or holds none of them.

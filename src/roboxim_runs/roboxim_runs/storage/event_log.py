@@ -1,9 +1,9 @@
 """Events of a run as JSON lines, for programs: a file that grows while the run goes on.
 
 A line is a JSON object with ``time`` (UTC, ISO 8601), ``event`` (the class's name in snake_case) and the event's
-fields. Each run of episodes has its own, ``<out>/events.jsonl``; ``roboxim --events FILE COMMAND`` writes those of any
-command.
-A line is written with one call in append mode, so that several processes may write into one file.
+fields. Each run of episodes has its own file, ``<out>/events.jsonl``; ``roboxim --events FILE COMMAND`` writes the
+events of any command. A line is written with one call in append mode, so that several processes may write into one
+file.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ VARIABLE = "ROBOXIM_EVENTS"
 """Environment variable with the file that commands write their events into."""
 STARTED, ENDED = "run_started", "run_ended"
 OF_RESULT = ("episode_id", "index", "attempt", "outcome", "reason", "steps", "bag", "wall_s", "final_state_hash")
-"""Fields of a result that its event has; the others are in the results' file."""
+"""Fields of a result that its event repeats; the results' file has all fields."""
 
 
 class EventLog:

@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 RUN_FILE = "run.json"
 RESULTS_FILE = "results.jsonl"
 MAY_DIFFER = ("episodes", "workers", "shard", "store", "server_probe")
-"""Keys of a run's configuration that may change when it continues: other episodes, other machines. The probe of a
-remote policy is compared by `roboxim_runs.policies.server_records`."""
+"""Keys of a run's configuration that may change when it continues, e.g. on another machine or with more episodes. The
+probe of a remote policy is compared by `roboxim_runs.policies.server_records`."""
 COMMANDS = {"demo": "generate", "eval": "evaluate"}
-"""Purpose of a run's episodes to the command that runs them."""
+"""Purpose of a run's episodes, mapped to the command that runs them."""
 LONGEST_NAME, LONGEST_PATH = 200, 3500
 """Largest number of bytes of a folder's name and of its whole path. Below a file system's own limits, since bags lie
 deeper."""
 EPISODE_MARK = "--- episode {} ---"
-"""Line of a worker's log before what an episode prints; its number is the index in the run."""
+"""Line of a worker's log before the output of an episode; the number is the index in the run."""
 
 
 class RunFolder:
@@ -125,7 +125,7 @@ class RunFolder:
                 fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
             return True
-        except OSError:  # no lock, or not ours to read
+        except OSError:  # no lock, or no permission to read it
             return False
         return False
 
@@ -155,7 +155,7 @@ class RunFolder:
     def results(self) -> list[EpisodeResult]:
         """Return the finished results in the order of their indices. A torn last line, left by a crash, is skipped.
 
-        So are episodes that their policy did not play (`EpisodeResult.played`); the same run repeats them.
+        Episodes that their policy did not play (`EpisodeResult.played`) are also skipped; the same run repeats them.
 
         Raises:
             ConfigError: When any other line is not a result; the message names the line.
@@ -175,7 +175,7 @@ class RunFolder:
             raise ConfigError(f"{error}; {REMEDY}") from None
 
     def without_bag(self, results: Iterable[EpisodeResult]) -> list[EpisodeResult]:
-        """Return the results whose bag has vanished; one in a store has not."""
+        """Return the results whose bag is neither in the folder nor in a store."""
         stored = stored_bags(self.path)
         return [
             result
@@ -217,7 +217,7 @@ def locked(folder: Path, name: str = ".lock") -> Iterator[None]:
 
 
 def folders_with(name: str, folder: Path, deepest: int) -> Iterator[Path]:
-    """Yield the folders that have a file of a name: a folder, and those at most some levels below; no hidden ones."""
+    """Yield a folder and those below it, down to a level, that contain a file of a name; skip hidden folders."""
     for depth in range(deepest + 1):
         yield from (file.parent for file in sorted(folder.glob("/".join(["[!.]*"] * depth + [name]))))
 

@@ -1,8 +1,8 @@
 """Joins the shards of runs: many folders of one configuration become the folder that a single run would have made.
 
-A merge checks everything first and then puts all in place, or nothing. An output folder that does not exist appears
-with one rename. In one that exists, each run gets its bags first, and then its results with one rename; a bag without a
-result does not count, so a killed merge is repeated by the same command.
+A merge checks everything first and then puts all in place, or nothing. A new output folder appears with one rename. In
+an existing one, each run gets its bags first, and then its results with one rename. A bag without a result does not
+count, so the same command repeats a killed merge.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from roboxim_runs.storage.store import RunUpload, file_sha256, note_stored, stor
 DEEPEST = 3
 """Levels below a shard's folder at which runs are looked for."""
 SHOWN = 5
-"""Further episodes are only counted."""
+"""Number of episodes that a message names; further ones are only counted."""
 CLOCKED = ("wall_s", "inference_s")
 """Fields of a result that differ from machine to machine."""
 
@@ -57,9 +57,9 @@ class MergedRun:
     episodes: int
     """Episodes that it has now."""
     shards: int
-    """Folders that had some of them."""
+    """Number of folders that contained some of these episodes."""
     doubles: int
-    """Episodes that several folders had, with equal results and equal bags."""
+    """Number of episodes that several folders contained, with equal results and equal bags."""
     missing: tuple[int, ...]
     """Indices of the episodes that no folder has."""
 
@@ -69,11 +69,11 @@ def merge_shards(
 ) -> list[MergedRun]:
     """Join the shards of one or several runs.
 
-    Bags are linked where the file system allows it, otherwise copied; the shards stay as they are. Of an evaluation,
-    the report is written anew.
+    Bags are linked where the file system allows it, otherwise copied; the shards stay unchanged. The report of an
+    evaluation is written anew.
 
     Args:
-        out: Folder of the whole; may hold a part of it already.
+        out: Folder of the merged run; may already hold a part of it.
         shards: The shards' folders.
         partial: Accept that episodes are missing; the run's command, without ``--shard``, runs them.
         on_event: Receives the merge's events.
@@ -192,7 +192,7 @@ class _Episode:
 
     @property
     def lasting(self) -> dict[str, Any]:
-        """What every machine finds."""
+        """Fields of the result that are equal on every machine."""
         return {name: value for name, value in self.line.items() if name not in (*CLOCKED, KEY)}
 
     stored: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -235,10 +235,10 @@ class _Merge:
                 self._choose(episode)
 
     def _common_config(self) -> dict[str, Any]:
-        """Return the configuration of all; the first one's where they may differ.
+        """Return the configuration of all shards; where they may differ, that of the first.
 
         Raises:
-            ConfigError: When one is of another run, or still running.
+            ConfigError: When a shard belongs to another run or is still running.
         """
         first = self.runs[0].config()
         for run in self.runs:
@@ -278,7 +278,7 @@ class _Merge:
 
     @property
     def missing(self) -> tuple[int, ...]:
-        """Indices that no folder has."""
+        """Indices without an episode in any folder."""
         there = {index for index, _ in self.chosen}
         return tuple(index for index in range(int(self.config.get("episodes", 0))) if index not in there)
 
@@ -412,7 +412,7 @@ def _link(source: Path, target: Path) -> None:
 
 @contextmanager
 def _stage(folder: Path) -> Iterator[Path]:
-    """Make an empty folder for the merge, removed afterwards; a killed merge's is emptied.
+    """Make an empty folder for the merge and remove it afterwards; one that a killed merge left is emptied.
 
     Raises:
         ConfigError: When another merge into the same folder is running.

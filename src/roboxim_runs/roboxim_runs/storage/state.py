@@ -1,4 +1,4 @@
-"""What the runs in folders are doing: running, finished, stopped or failed, how far and how fast.
+"""States of the runs in folders: running, finished, stopped or failed, with progress and speed.
 
 Read from the folders alone, so it works for a run of any executor, a run on another machine that shares the file
 system, and a run whose machine is gone.
@@ -25,11 +25,11 @@ from roboxim_runs.storage.folder import RESULTS_FILE, RUN_FILE, RunFolder, comma
 DEEPEST = 4
 """Levels below a folder at which runs are looked for."""
 QUIET_S = 900.0
-"""A run on another machine counts as dead after so long without an event [s]."""
+"""Time without an event after which a run on another machine counts as dead [s]."""
 TAIL_BYTES = 1 << 18
-"""Only the end of a run's events is read."""
+"""Number of bytes at the end of a run's events that are read."""
 UNPLAYED = tuple(f'"reason":"{reason}"'.encode() for reason in sorted(NOT_PLAYED))
-"""What the lines of episodes have that are no results."""
+"""Text in the lines of episodes that do not count as results."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,21 +41,21 @@ class RunState:
     kind: str
     """Command that made it."""
     state: str
-    """``running``, ``finished``, ``stopped``, ``failed``, or ``lost``: it ended without a word."""
+    """``running``, ``finished``, ``stopped``, ``failed``, or ``lost``: it ended without an end event."""
     message: str
     """Why it failed."""
     done: int
     """Episodes with a result."""
     total: int
-    """Episodes that were asked for; of a shard, its own. 0: unknown."""
+    """Requested number of episodes; of a shard, its share. 0: unknown."""
     shard: str
     """``I/N``; empty: the whole run."""
     executor: str
-    """What runs its episodes: ``local``, ``inline``, ``ray``; empty: unknown."""
+    """Executor of its episodes: ``local``, ``inline``, ``ray``; empty: unknown."""
     host: str
     """Machine on which the command was last started."""
     per_second: float | None
-    """Episodes a second of late; none while unknown, or when it is not running."""
+    """Recent rate [episodes/s]; none: unknown, or the run is not running."""
     left_s: float | None
     """Estimated time left [s]."""
     quiet_s: float | None
@@ -126,7 +126,7 @@ def _state(run: RunFolder, last: dict[str, Any], quiet_s: float | None, *, finis
 
 
 def _is_here(folder: Path) -> bool:
-    """Return whether the folder is on a disk of this machine, where the lock says all."""
+    """Return whether the folder is on a disk of this machine, where the lock alone shows whether the run is active."""
     kinds = {}
     try:
         for line in Path("/proc/mounts").read_text().splitlines():

@@ -1,8 +1,9 @@
 """Stores: bags, datasets and results at a URL of any file system that fsspec knows, e.g. ``s3://bucket/demos``.
 
-A file is uploaded under its own name only when it is whole, and read back before it counts; its SHA-256 is kept in
-``stored.jsonl`` beside the results. Whatever reads a store compares with it, so a damaged or replaced object is named
-instead of used. ``run.json``, ``results.jsonl`` and ``stored.jsonl`` are uploaded while the run goes on and at its end.
+A file appears under its own name only when it is complete, and is read back before it counts as stored; its SHA-256 is
+kept in ``stored.jsonl`` beside the results. Every reader of a store compares the checksum, so a damaged or replaced
+object is reported instead of used. ``run.json``, ``results.jsonl`` and ``stored.jsonl`` are uploaded while the run goes
+on and at its end.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ SMALL_FILES = ("run.json", "results.jsonl", STORED_FILE)
 UPLOAD_PERIOD_S = 60.0
 """Time between two uploads of a run's small files [s]."""
 TRIES = 4
-"""Times that a transfer is tried, with growing pauses."""
+"""Number of attempts at a transfer, with growing pauses."""
 PAUSE_S = 1.0
 MISSING = "stores need packages that are not installed; install them on all machines with: pip install 'roboxim[store]'"
 WHOLE_OBJECTS = ("s3", "s3a", "gs", "gcs", "abfs", "az", "adl", "memory")
-"""Protocols whose uploads appear only when they are whole; elsewhere a file is renamed when it is."""
+"""Protocols whose uploads appear only when complete; elsewhere, a complete file is renamed."""
 T = TypeVar("T")
 
 
@@ -74,7 +75,7 @@ class Store:
         yield cls(url, files)
 
     def put(self, file: Path, name: str) -> dict[str, Any]:
-        """Upload a file: everything or nothing, and read back.
+        """Upload a file completely or not at all, and read it back.
 
         Args:
             file: The file.
@@ -111,15 +112,15 @@ class Store:
         return {file.name: self.put(file, f"{name}/{file.name}") for file in sorted(folder.iterdir())}
 
     def get(self, name: str, file: Path, *, sha256: str = "") -> None:
-        """Download a file: everything or nothing.
+        """Download a file completely or not at all.
 
         Args:
             name: Its name in the store.
-            file: Where it goes; its folder is made.
-            sha256: What it must be; empty: anything.
+            file: Destination; its folder is made.
+            sha256: Expected checksum; empty: no check.
 
         Raises:
-            RecorderError: ``BAG_DAMAGED`` when it is missing or not what it must be.
+            RecorderError: ``BAG_DAMAGED`` when it is missing or has another checksum.
             UnavailableError: When the store cannot be reached.
         """
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -156,7 +157,7 @@ class Store:
         return total.hexdigest()
 
     def _tried(self, what: str, action: Callable[[], T]) -> T:
-        """Do something again after a lost connection, a few times."""
+        """Run an action; repeat it a few times after a lost connection."""
         for attempt in range(1, TRIES + 1):
             try:
                 return action()
@@ -203,10 +204,10 @@ def stored_bags(run: Path) -> dict[str, dict[str, Any]]:
 
 
 class RunUpload:
-    """Uploads the small files of a run, now and then while it goes on."""
+    """Uploads the small files of a run from time to time while it goes on."""
 
     def __init__(self, run: Path, url: str, *, shard: str = "") -> None:
-        """Store the places.
+        """Store the folder and the URL.
 
         Args:
             run: The run's folder.
@@ -217,7 +218,7 @@ class RunUpload:
         self._prefix = f"shards/{shard.replace('/', '-of-')}/" if shard else ""
 
     def now_and_then(self) -> None:
-        """Upload them if the last upload is long ago."""
+        """Upload them if the last upload was long ago."""
         if self._url and time.monotonic() - self._last > UPLOAD_PERIOD_S:
             self.all()
 
@@ -234,7 +235,7 @@ class RunUpload:
 
 @contextmanager
 def local_sources(places: Iterable[Path | str]) -> Iterator[list[Path]]:
-    """Give runs and bags as folders of this machine while the block runs.
+    """Provide runs and bags as folders of this machine while the block runs.
 
     A URL, and a run whose bags are in a store, are downloaded to a temporary folder and compared with their checksums.
 
@@ -242,8 +243,8 @@ def local_sources(places: Iterable[Path | str]) -> Iterator[list[Path]]:
         places: Paths and URLs of runs or of folders of bags.
 
     Raises:
-        ConfigError: When a URL has nothing in it.
-        RecorderError: ``BAG_DAMAGED`` when a bag is missing in a store or not what was stored.
+        ConfigError: When a URL holds no files.
+        RecorderError: ``BAG_DAMAGED`` when a bag is missing in a store or differs from what was stored.
         UnavailableError: When a store cannot be reached.
     """
     with ExitStack() as stack:
@@ -280,7 +281,7 @@ def _download(url: str, folder: Path) -> None:
 
 
 def _gather(run: Path, folder: Path) -> None:
-    """Bring a run's local bags and its stored ones together."""
+    """Collect a run's local and stored bags in one folder."""
     url = json.loads((run / "run.json").read_text()).get("store", "")
     for name in SMALL_FILES:
         if (run / name).exists():
@@ -294,13 +295,13 @@ def _gather(run: Path, folder: Path) -> None:
 
 
 def fetch_bags(run: Path, url: str, bags: Iterable[str], folder: Path) -> None:
-    """Download bags of a run into a folder, compared with their checksums; local ones are left out.
+    """Download bags of a run into a folder and verify their checksums; bags that are local are skipped.
 
     Args:
         run: The run's folder.
         url: Its store.
         bags: Paths of the bags in the run.
-        folder: Where they go, under the same paths.
+        folder: Destination; the bags keep their paths.
     """
     known = stored_bags(run)
     with Store.opened(url) as store:
@@ -312,7 +313,7 @@ def fetch_bags(run: Path, url: str, bags: Iterable[str], folder: Path) -> None:
 
 @contextmanager
 def readable_run(run: Path, bags: Sequence[str]) -> Iterator[Path]:
-    """Give a folder in which bags of a run can be read while the block runs: the run's, or one with those of its store.
+    """Yield a folder from which bags of a run can be read: the run's, or a temporary one with bags from its store.
 
     Args:
         run: The run's folder.
@@ -336,7 +337,7 @@ def upload_dataset(folder: Path, url: str) -> int:
 
     Args:
         folder: The dataset's folder.
-        url: Where it goes.
+        url: Destination.
 
     Returns:
         Number of files.
