@@ -21,7 +21,7 @@ from roboxim_recorder.bag import BagReader
 from roboxim_runs.assets.check import check
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_tasks.components import COMPONENTS
-from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.skills import SKILLS, from_file
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "how-to" / "own_skill.md"
 FILES = dict(re.findall(r"^```\w+\n# (kitchen/\S+)\n(.*?)^```$", DOCUMENT.read_text(), re.DOTALL | re.MULTILINE))
@@ -85,3 +85,16 @@ def test_it_leaves_nothing_behind() -> None:
 
 def test_a_plug_in_may_import_the_placement_first() -> None:
     subprocess.run([sys.executable, "-c", "import roboxim_tasks.sampling.placement"], check=True)
+
+
+def test_a_skill_alone_in_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (text,) = re.findall(r"^```python\n# my_skill.py\n(.*?)^```$", DOCUMENT.read_text(), re.DOTALL | re.MULTILINE)
+    (tmp_path / "my_skill.py").write_text(text)
+    monkeypatch.setattr(SKILLS, "_items", dict(SKILLS._items))
+    monkeypatch.setattr(from_file, "_loaded", {})
+    task = task_text(skill=f"{tmp_path / 'my_skill.py'}:Touch", cameras=["workspace"])
+    config = RunConfig(output_dir=str(tmp_path), purpose="test", run_seed=0, task_config=task)
+    with CoreGraph(tmp_path, renderer="tiny") as cores:
+        solved = EpisodeRunner(cores.ports, config).run_index(0)
+    assert solved.outcome == "success", solved
+    assert "whole" in task_text(skill=f"{tmp_path / 'my_skill.py'}:Touch"), "the camera cuts the hand"

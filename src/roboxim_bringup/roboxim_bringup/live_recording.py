@@ -52,6 +52,7 @@ class LiveRecording:
         self._folder, self._wanted, self._look_up = folder, set(topics), look_up
         self._arrived: queue.SimpleQueue[tuple[str, int, bytes]] = queue.SimpleQueue()
         self._subscriptions: dict[str, Any] = {}
+        self._schemas: dict[str, Any] = {}
         self._layouts: dict[str, MessageLayout] = {}
         self._flushed = time.monotonic()
         self.left_out: list[str] = []
@@ -60,7 +61,7 @@ class LiveRecording:
     @property
     def counts(self) -> dict[str, int]:
         """Topic to number of recorded messages."""
-        return self._file.counts
+        return dict.fromkeys(self._layouts, 0) | self._file.counts
 
     def listen(self, graph: Graph) -> None:
         """Subscribe to the topics that are new in the graph."""
@@ -83,7 +84,7 @@ class LiveRecording:
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )  # fmt: skip
-            self._file.add_topic(topic, schema)
+            self._schemas[topic] = schema
             self._layouts[topic] = message_layout(schema)
 
             def take(data: bytes, topic: str = topic) -> None:
@@ -101,6 +102,8 @@ class LiveRecording:
         with disk_errors(self._folder):
             while not self._arrived.empty():
                 topic, stamp_ns, data = self._arrived.get()
+                if topic not in self._file.counts:  # a silent topic is no part: it would look like a lost episode's
+                    self._file.add_topic(topic, self._schemas[topic])
                 self._file.write(topic, self._layouts[topic].clean(data).data, stamp_ns)
             if time.monotonic() - self._flushed > FLUSH_S:
                 self._file.flush()

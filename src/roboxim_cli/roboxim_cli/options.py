@@ -221,9 +221,9 @@ SHARED: dict[str, dict[str, Any]] = {
 """Options that several commands have, which mean the same everywhere; a command may change the help and the default."""
 
 
-TASK_WORDS = (
-    "task", "skill", "suite", "object", "distractors", "colors", "camera", "light", "texture", "look", "robot",
-)  # fmt: skip
+TASK_CHANGES = ("object", "distractors", "colors", "camera", "light", "texture", "look", "robot")
+"""Options that change a task."""
+TASK_WORDS = ("task", "skill", "suite", *TASK_CHANGES)
 """Options that choose a task and change it, as `roboxim_runs.episodes.task_choice.task_text` takes them."""
 
 

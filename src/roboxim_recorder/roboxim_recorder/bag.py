@@ -52,7 +52,8 @@ def not_an_episode(path: Path, counts: Mapping[str, int]) -> NotAnEpisodeError:
     more = f" and {len(counts) - 5} more topics" if len(counts) > 5 else ""
     return NotAnEpisodeError(
         f"bag {path} is no episode of RoboXim: it has no topic {topics.INFO}; it holds {shown or 'no topic'}{more}. "
-        "'roboxim bag play' plays it; exports need episodes, as generate and evaluate record them"
+        "'roboxim bag play' plays it, and 'roboxim dataset convert' makes a dataset of a driven graph; exports need "
+        "episodes, as generate and evaluate record them"
     )
 
 

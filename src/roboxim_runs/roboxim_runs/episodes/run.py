@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -468,11 +467,20 @@ def _describe_progress(folder: RunFolder) -> str:
 
 
 def failures(results: Iterable[EpisodeResult], max_items: int = 10) -> list[str]:
-    """Return a line for each episode that did not succeed, with the reason.
+    """Return a line for each reason of failure, the most frequent first, with its episodes and its first message.
 
     Args:
         results: The results.
-        max_items: Number of lines at most.
+        max_items: Number of episodes that a line names at most.
     """
-    failed = itertools.islice((result for result in results if result.outcome != "success"), max_items)
-    return [f"{result.episode_id}: {result.reason}" + f": {result.message}" * bool(result.message) for result in failed]
+    by_reason: dict[str, list[EpisodeResult]] = {}
+    for result in results:
+        if result.outcome != "success":
+            by_reason.setdefault(result.reason, []).append(result)
+    lines = []
+    for reason, failed in sorted(by_reason.items(), key=lambda item: -len(item[1])):
+        named = ", ".join(str(result.index) for result in failed[:max_items])
+        more = f" and {len(failed) - max_items} more" if len(failed) > max_items else ""
+        message = next((f": {result.message}" for result in failed if result.message), "")
+        lines.append(f"{reason} in {len(failed)} episode{'s' * (len(failed) > 1)}: {named}{more}{message}")
+    return lines

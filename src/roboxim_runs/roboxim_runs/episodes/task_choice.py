@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 DEFAULT_TASK = "pick_cube"
 SEEN_WHOLE = {"workspace": "whole", "workspace_side": "whole_side"}
 """Views of the built-in tasks, which published experiments use, to those that crop neither the hand nor an object."""
+FROM_AFAR = "{cameras: {names: [workspace, wrist], views: {workspace: whole}}}"
+"""Reset of a skill without a task's file: the camera ``workspace`` sees the whole hand."""
 CELLS_SHOWN = 8
 """Number of cells of a mix whose episodes are told one by one."""
 
@@ -102,24 +104,28 @@ def task_text(
     return text
 
 
-def named_task(name: str, *, others: Sequence[str] = ()) -> tuple[str, Path | None]:
+def named_task(name: str, *, others: Sequence[str] = (), **changes: Any) -> tuple[str, Path | None]:
     """Return the configuration of a task, a suite or a skill as YAML text, and its file.
 
     Args:
-        name: Name in ``config/tasks`` or ``config/suites``, a YAML file, or a skill.
+        name: Name in ``config/tasks`` or ``config/suites``, a YAML file, a skill, or the file of a skill.
         others: Further names that the user may have meant.
+        **changes: What changes it, see `task_text`.
 
     Raises:
         ConfigError: When there is no such thing, or it is not valid.
     """
     from roboxim_tasks.skills import SKILLS
+    from roboxim_tasks.skills.from_file import is_skill_file
 
+    if is_skill_file(name):
+        return task_text(skill=name, **changes), None
     for kind in ("tasks", "suites"):
         if is_path(name) or name in config_names(kind):
             file = named_config(kind, name)
-            return task_text(name if kind == "tasks" else str(file)), file
+            return task_text(name if kind == "tasks" else str(file), **changes), file
     if name in SKILLS:
-        return task_text(skill=name), None
+        return task_text(skill=name, **changes), None
     known = {*config_names("tasks"), *config_names("suites"), *SKILLS, *others}
     raise ConfigError(f"there is no '{name}'; {one_of(known, name)}")
 
@@ -231,10 +237,10 @@ def _base(task: str, skills: Sequence[str], suite: str, *, whole: bool, by_look:
         mix = {"cells": _cells_by_view(skills, by_look=by_look) if whole else [{"tasks": list(skills)}]}
         return digests + str(yaml.safe_dump(mix)), f"skills {', '.join(skills)}"
     [skill] = skills
-    if files:
-        return f"{digests}skill: {skill}\n", f"skill '{skill}'"
-    own = (folder / "tasks" / f"{skill}.yaml" for folder in config_dirs())
-    return next((_read(file) for file in own if file.is_file()), (f"skill: {skill}\n", f"skill '{skill}'"))
+    own = (folder / "tasks" / f"{skill}.yaml" for folder in config_dirs()) if not files else ()
+    view = f"reset: {FROM_AFAR}\n" if whole and not by_look else ""
+    alone = f"{digests}skill: {skill}\n{view}", f"skill '{skill}'"
+    return next((_read(file) for file in own if file.is_file()), alone)
 
 
 def _cells_by_view(skills: Sequence[str], *, by_look: bool) -> list[dict[str, Any]]:
@@ -242,7 +248,10 @@ def _cells_by_view(skills: Sequence[str], *, by_look: bool) -> list[dict[str, An
     groups: dict[str, dict[str, Any]] = {}
     for skill in skills:
         file = config_dir() / "tasks" / f"{skill}.yaml"
-        view = _whole_view(parse_yaml(read_text(file), source=str(file)), by_look=by_look) if file.is_file() else {}
+        if file.is_file():
+            view = _whole_view(parse_yaml(read_text(file), source=str(file)), by_look=by_look)
+        else:
+            view = {} if by_look else yaml.safe_load(FROM_AFAR)
         cell = groups.setdefault(str(view), {"tasks": [], **({"set": {"reset": view}} if view else {})})
         cell["tasks"].append(skill)
     return list(groups.values())

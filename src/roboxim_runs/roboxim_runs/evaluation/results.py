@@ -78,6 +78,12 @@ class EvaluationResult:
     privileged: tuple[str, ...]
     """Policies that received the task, scene and state, which a policy under test must not see."""
 
+    def __repr__(self) -> str:
+        """Return the rates, in words."""
+        lines = [f"{name}: {rate_line(policy.results)}" for name, policy in self.policies.items()]
+        more = [str(line) for line in (self.comparison, f"report: {self.report}" if self.report else "") if line]
+        return "\n".join([*lines, *self.by_skill, *more])
+
     def __getitem__(self, name: str) -> PolicyResult:
         """Return a policy's result.
 

@@ -27,7 +27,7 @@ from roboxim_runs.evaluation.checks import (
     require_robots,
     require_same_policy,
 )
-from roboxim_runs.evaluation.report import UNTRAINED, EvaluationRecord, policy_facts, write_evaluation
+from roboxim_runs.evaluation.report import EvaluationRecord, policy_facts, write_evaluation
 from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
 from roboxim_runs.events import Notice, OnEvent, PolicyMeasured, PolicyResumed, ignore
 from roboxim_runs.executors import Cancellation, Executor
@@ -156,7 +156,7 @@ def evaluate(
         task=config.task_name, seed=config.seed, policies=tuple(found), facts=policy_facts(chosen, jobs),
         command=config.command or _call(config), stopped=config.stopped,
         undecided=config.undecided,
-        trained=tuple(policy.name for policy in chosen if policy.acting.spec not in UNTRAINED),
+        trained=tuple(policy.name for policy in chosen if policy.is_checkpoint),
         film=config.film,
     )  # fmt: skip
     return write_evaluation(record, found, out, page=config.page)

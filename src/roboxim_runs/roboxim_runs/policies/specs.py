@@ -79,6 +79,12 @@ class ChosenPolicy(PolicySpec):
         return self.make is not None and CHECKPOINT in inspect.signature(self.make).parameters
 
     @property
+    def is_checkpoint(self) -> bool:
+        """Whether it is known to come from a training: it has a checkpoint, or a server computes its actions."""
+        acting = self.acting
+        return acting.is_remote or bool(acting.options.get(CHECKPOINT))
+
+    @property
     def is_remote(self) -> bool:
         """Whether a server computes its actions."""
         if self.make is None:

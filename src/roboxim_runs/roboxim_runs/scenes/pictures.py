@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,11 +30,13 @@ from roboxim_sim.rendering.states import StateRenderer
 from roboxim_sim.world import World
 from roboxim_tasks.config import TaskMix, parse_task_config
 from roboxim_tasks.demonstration.solvable import Solvability
-from roboxim_tasks.roles import task_distractors
+from roboxim_tasks.roles import description, task_objects
 from roboxim_tasks.sampling.episodes import EpisodeGenerator
 from roboxim_tasks.sampling.visible import Visibility
 from roboxim_tasks.task_config import TaskConfig
 
+Box = tuple[float, float, float, float]
+"""Left, top, right, bottom [px]."""
 RgbImage = npt.NDArray[np.uint8]
 HEIGHT_PX = 384
 """Height of the pictures."""
@@ -93,18 +96,16 @@ class ScenePainter:
         scene = replace(scene, cameras=tuple(self._enlarged(camera) for camera in cameras))
         state = state or self._world.load(scene)
         images = self._states.draw(scene, state)
-        others = {thing.entity for thing in task_distractors(task)} if task else set()
-        marks = (
-            {thing.entity: role for role, thing in task.objects.items() if thing.entity not in others} if task else {}
-        )
+        marks = {thing.entity: description(thing) for thing in task_objects(task)} if task else {}
         ids = {entity: number for number, entity in enumerate(drawn_entities(scene), start=1)}
         views = []
         for camera in scene.cameras:
             seen = images[camera.name]
             assert seen.segmentation is not None
             view = Image.fromarray(seen.rgb)
-            for entity, role in marks.items():
-                _mark(view, seen.segmentation == ids[entity], role)
+            labels: list[Box] = []
+            for entity, label in marks.items():
+                _mark(view, seen.segmentation == ids[entity], label, labels)
             views.append((camera.name, view))
         first = next((camera for camera in scene.cameras if camera.parent == "world"), None)
         sheet = np.asarray(_beside(views))
@@ -162,8 +163,15 @@ def _beside(views: Sequence[tuple[str, Image.Image]]) -> Image.Image:
     return stacked([view for _, view in views], columns=len(views))
 
 
-def _mark(view: Image.Image, mask: npt.NDArray[np.bool_], label: str) -> None:
-    """Draw a frame around what a mask covers, with a label; nothing where the camera does not see it."""
+def _mark(view: Image.Image, mask: npt.NDArray[np.bool_], label: str, labels: list[Box]) -> None:
+    """Draw a frame around what a mask covers, with a label; nothing where the camera does not see it.
+
+    Args:
+        view: The picture.
+        mask: What the object covers.
+        label: Its name.
+        labels: Where labels are already, which is extended.
+    """
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return
@@ -172,38 +180,55 @@ def _mark(view: Image.Image, mask: npt.NDArray[np.bool_], label: str) -> None:
     draw.rectangle(box, outline=MARK, width=2)
     wide = draw.textlength(label, font=font)
     x = min(max(box[0], 0), view.width - wide - 6)
-    y = box[1] - 20 if box[1] >= 20 else min(box[3] + 2, view.height - 20)
-    draw.rectangle((x, y, x + wide + 6, y + 18), fill=MARK)
+    above, below = box[1] - 20, box[3] + 2
+    places = [(x, y, x + wide + 6, y + 18) for y in (above, below, box[1] + 2, above - 20, below + 20)]
+    inside = [place for place in places if place[1] >= 0 and place[3] <= view.height]
+    place = next((place for place in inside if not any(_overlap(place, other) for other in labels)), inside[0])
+    labels.append(place)
+    y = place[1]
+    draw.rectangle(place, fill=MARK)
     draw.text((x + 3, y), label, fill=(255, 255, 255), font=font)
 
 
-def picture_of(what: str, *, seed: int = 0, renderer: str = "raster") -> tuple[Image.Image, str]:
+def _overlap(one: Box, other: Box) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+
+
+def picture_of(
+    what: str, *, seed: int = 0, renderer: str = "raster", changes: Mapping[str, Any] | None = None
+) -> tuple[Image.Image, str]:
     """Return a picture of a task, a scene or a bag, and a line that says what it shows.
 
     Args:
-        what: Name or YAML file of a task, name of a skill, name or YAML file of a scene, or path of a bag.
+        what: Name or YAML file of a task, name of a skill or its file, name or YAML file of a scene, or path of a bag.
         seed: Seed of a task's scene.
         renderer: Renderer by name.
+        changes: What changes a task, as `task_text` takes it; refused with a scene or a bag.
 
     Raises:
         ConfigError: When there is no such thing.
         RoboximError: When it cannot be drawn.
     """
+    given = {name: value for name, value in (changes or {}).items() if value}
     with ScenePainter(renderer) as painter:
         path = Path(what)
-        if path.exists() and path.suffix not in (".yaml", ".yml"):
+        is_bag = path.exists() and path.suffix not in (".yaml", ".yml", ".py")
+        is_scene = what in config_names("scenes") or (path.suffix in (".yaml", ".yml") and _is_scene(path))
+        if given and (is_bag or is_scene):
+            raise ConfigError(f"{what} is {'a bag' if is_bag else 'a scene'}, and {', '.join(given)} changes a task")
+        if is_bag:
             reader = BagReader(path)
             first = next(iter(reader.ticks()))
             return painter.picture(reader.info.scene, reader.info.task, first.state), reader.info.task.instruction
-        if what in config_names("scenes") or (path.is_file() and _is_scene(path)):
+        if is_scene:
             scene = load_config(named_config("scenes", what), SceneSpec)
             return painter.picture(scene), f"scene {what}: {len(scene.entities)} objects"
-        text, _ = named_task(what, others=config_names("scenes"))
+        text, _ = named_task(what, others=config_names("scenes"), **given)
         drawn = painter.draw(SeedPath(run_seed=seed, purpose="demo", index=0), parse_task_config(text))
         return painter.picture(drawn.scene, drawn.task), drawn.task.instruction
 
 
 def _is_scene(path: Path) -> bool:
     """Tell whether a YAML file is a scene: it has a robot or entities, and neither a skill nor cells."""
-    keys = set(load_yaml(path) or ())
+    keys = set(load_yaml(path) or ()) if path.is_file() else set()
     return bool(keys & {"robot", "entities", "table"}) and not keys & {"skill", "cells"}

@@ -10,6 +10,7 @@ import importlib.util
 import os
 import re
 import sys
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 
 from roboxim_core.errors import ConfigError, one_of
@@ -19,6 +20,11 @@ from roboxim_tasks.skills.base import SKILLS, Skill
 VARIABLE = "ROBOXIM_SKILLS"
 """Environment variable with skills of files."""
 _loaded: dict[tuple[Path, str], str] = {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoParameters:
+    """Parameters of a skill that has none."""
 
 
 def is_skill_file(text: str) -> bool:
@@ -62,10 +68,12 @@ def load_skill_file(spec: str) -> str:
     if name not in classes:
         raise ConfigError(f"{path} has no skill '{name}'; name a class of it, {one_of(classes, name)}")
     cls = classes[name]
-    if not isinstance(getattr(cls, "Parameters", None), type):
+    if not hasattr(cls, "Parameters"):
+        cls.Parameters = NoParameters
+    if not is_dataclass(cls.Parameters):
         raise ConfigError(
-            f"skill '{name}' of {path} has no Parameters: add a frozen dataclass of its thresholds, with a "
-            "field for each, e.g. hold_s: float = 0.5"
+            f"Parameters of skill '{name}' of {path} must be a frozen dataclass with a field for each threshold, e.g. "
+            "hold_s: float = 0.5; leave it out if there are none"
         )
     cls.name = cls.name or re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
     if cls.name not in set(SKILLS) - before:
