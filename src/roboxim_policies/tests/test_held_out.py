@@ -1,8 +1,10 @@
 """Held-out demonstrations choose the weights, and end a training that no longer gets better on them."""
 
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import pytest
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ConfigError
 from roboxim_policies.learning.checkpoint import load_checkpoint, policy_only
-from roboxim_policies.learning.data import Reading
+from roboxim_policies.learning.data import Reading, _view
 from roboxim_policies.learning.policy import LearnedPolicy
 from roboxim_policies.learning.train import Trainer
 
@@ -88,3 +90,11 @@ def test_a_wrong_choice_is_refused(reading, tmp_path):
         replace(CONFIG, patience=3)
     with pytest.raises(ConfigError, match="held_out is 4, and there are no such episodes"):
         Trainer(data(4), HELD, tmp_path)
+
+
+def test_demonstrations_say_from_where_their_cameras_looked():
+    drawn = {"camera.workspace": "whole_left", "target": "apple"}
+    told = SimpleNamespace(metadata={"task": json.dumps({"drawn": drawn})})
+    assert [_view(told, camera) for camera in ("workspace", "wrist")] == ["whole_left", "wrist"]
+    for other in ({}, {"task": "pick up"}, {"task": "[]"}):
+        assert _view(SimpleNamespace(metadata=other), "workspace") == ""

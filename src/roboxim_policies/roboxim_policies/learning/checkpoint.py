@@ -187,6 +187,7 @@ def save_checkpoint(
         "input_sizes": {name: int(images.shape[1]) for name, images in data.images.items()},
         "semantics": to_plain(data.semantics),
         "robot": data.robot,
+        **({"camera_views": to_plain(data.camera_views)} if data.camera_views else {}),
         "state_layout": list(STATE_NAMES),
         "identity": Checkpoint.identity_of(config, data, started_from),
         "digest": _digest(arrays[-1]),

@@ -8,8 +8,9 @@ steps of the same demonstration.
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +101,8 @@ class Demonstrations:
     """Number of episodes."""
     robot: str = ""
     """Id of the robot model of the demonstrations, or of several (`BETWEEN_ROBOTS`); empty: unknown."""
+    camera_views: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Camera to the files of ``config/cameras`` from whose places it saw; a camera that is missing: unknown."""
 
     def __len__(self) -> int:
         """Count the steps."""
@@ -119,6 +122,7 @@ def assemble(
     semantics: ActionSemantics,
     robot: str = "",
     like: Demonstrations | None = None,
+    camera_views: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Demonstrations:
     """Combine demonstrations.
 
@@ -129,6 +133,7 @@ def assemble(
         robot: Id of the robot model; empty: unknown.
         like: Demonstrations that give the vocabulary and the opening of an empty gripper, to validate a network that
             was trained on them. None: both are measured.
+        camera_views: See `Demonstrations`; None: unknown.
 
     Raises:
         ConfigError: When there are no episodes.
@@ -172,6 +177,7 @@ def assemble(
         semantics=semantics,
         episodes=len(kept),
         robot=robot,
+        camera_views=dict(camera_views or {}),
     )
 
 
@@ -208,6 +214,8 @@ class Reading:
     """Meaning of the actions."""
     robot: str
     """Id of the robot model, or of several (`BETWEEN_ROBOTS`); empty: unknown."""
+    camera_views: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """See `Demonstrations`."""
 
     def assemble(self) -> Demonstrations:
         """Combine all episodes."""
@@ -234,7 +242,8 @@ class Reading:
 
     def _assembled(self, episodes: list[Demonstration], like: Demonstrations | None = None) -> Demonstrations:
         return assemble(
-            episodes, camera_sizes=self.camera_sizes, semantics=self.semantics, robot=self.robot, like=like
+            episodes, camera_sizes=self.camera_sizes, semantics=self.semantics, robot=self.robot, like=like,
+            camera_views=self.camera_views,
         )  # fmt: skip
 
 
@@ -274,12 +283,15 @@ def read_demonstrations(
     episodes: list[Demonstration] = []
     semantics: ActionSemantics | None = None
     robots: set[str] = set()
+    views: dict[str, set[str]] = {camera: set() for camera in sizes}
     for index, episode in enumerate(itertools.islice(dataset.episodes(split), total)):
         declared = require_semantics(episode, path)
         if semantics is not None:
             declared.require_compatible(semantics, mine=f"episode {index}", theirs="episode 0")
         semantics = declared
         robots.add(episode.robot)
+        for camera, seen in views.items():
+            seen.add(_view(episode, camera))
         episodes.append(_demonstration(episode, sizes))
         progress(index + 1, total)
     if semantics is None:
@@ -290,8 +302,18 @@ def read_demonstrations(
         raise ConfigError(f"{path}: it learns grippers with 1 = open and 0 = closed; export such actions")
     camera_sizes = {camera: (cameras[camera].width, cameras[camera].height) for camera in sizes}
     return Reading(
-        episodes=episodes, camera_sizes=camera_sizes, semantics=semantics, robot=BETWEEN_ROBOTS.join(sorted(robots))
-    )
+        episodes=episodes, camera_sizes=camera_sizes, semantics=semantics, robot=BETWEEN_ROBOTS.join(sorted(robots)),
+        camera_views={camera: tuple(sorted(seen)) for camera, seen in views.items() if "" not in seen},
+    )  # fmt: skip
+
+
+def _view(episode: Episode, camera: str) -> str:
+    """Return the file of ``config/cameras`` from whose place a camera saw; empty: the dataset does not say."""
+    try:
+        drawn = json.loads(str(episode.metadata["task"]))["drawn"]
+        return str(drawn.get(f"camera.{camera}", camera))
+    except (KeyError, TypeError, ValueError, AttributeError):  # the dataset of another tool
+        return ""
 
 
 def _demonstration(episode: Episode, sizes: Mapping[str, int]) -> Demonstration:

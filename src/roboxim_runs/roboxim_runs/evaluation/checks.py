@@ -10,6 +10,7 @@ from roboxim_core.errors import ConfigError, EvaluationError, one_of
 from roboxim_datasets.episode import BETWEEN_ROBOTS
 from roboxim_runs.episodes.run import EpisodesJob
 from roboxim_runs.evaluation.results import PolicyResult
+from roboxim_runs.executors import Executor, LocalExecutor
 from roboxim_runs.policies.specs import ChosenPolicy
 from roboxim_runs.storage.folder import RunFolder, require_bags
 
@@ -41,6 +42,22 @@ def require_cameras(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig])
                         f"policy '{policy.name}' needs camera '{camera}', which the task's scenes lack; "
                         f"{one_of(have, camera)}"
                     )
+
+
+def require_local(chosen: Sequence[ChosenPolicy], executor: Executor | None, workers: int) -> None:
+    """Refuse a policy of the calling process when workers may be on other machines, or cannot have a copy each.
+
+    Raises:
+        ConfigError: Naming the policy.
+    """
+    for policy in chosen:
+        if policy.own is not None and not isinstance(executor, LocalExecutor | None):
+            raise ConfigError(
+                f"policy '{policy.name}' lives in this process, which workers on other machines do not reach; write it "
+                f"to a file and name it, e.g. 'my_policy.py:{policy.name}'"
+            )
+        if policy.own is not None and workers > 1:
+            policy.own.require_copies()
 
 
 def require_robots(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) -> None:

@@ -51,6 +51,8 @@ class EvaluationRecord:
     """Whether planned looks at the results have not decided; then no policy is called better."""
     trained: tuple[str, ...] | None = None
     """Policies that are checkpoints of a training; none: an earlier version did not say; then their facts do."""
+    warnings: tuple[str, ...] = ()
+    """What weakens the results, a sentence each."""
     film: FilmOptions = FilmOptions()
     """Which films the report shows. Each shown episode has a page of its own."""
 
@@ -178,7 +180,7 @@ def _page(
     report = Report(
         title=f"Evaluation of {listed(found)} on {record.task}", runs=runs, facts=facts, versions=versions,
         command=record.command, stopped=record.stopped, undecided=record.undecided, 
-        place=place,
+        place=place, warnings=record.warnings,
     )  # fmt: skip
     return write_report(report, out)
 

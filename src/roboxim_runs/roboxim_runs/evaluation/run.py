@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from roboxim_core.config import to_json
 from roboxim_core.errors import EvaluationError
+from roboxim_core.policies import Policy
 from roboxim_core.shards import Shard
 from roboxim_eval.film_options import FilmOptions
 from roboxim_policies.remote import SERVERS_OWN
@@ -23,15 +24,18 @@ from roboxim_runs.episodes.run import EpisodesConfig, EpisodesJob, run_environme
 from roboxim_runs.evaluation.checks import (
     cells_of,
     require_cameras,
+    require_local,
     require_played,
     require_robots,
     require_same_policy,
 )
 from roboxim_runs.evaluation.report import EvaluationRecord, policy_facts, write_evaluation
 from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
+from roboxim_runs.evaluation.views import view_warnings
 from roboxim_runs.events import Notice, OnEvent, PolicyMeasured, PolicyResumed, ignore
 from roboxim_runs.executors import Cancellation, Executor
 from roboxim_runs.executors.protocol import unchanged
+from roboxim_runs.policies.here import OwnServer
 from roboxim_runs.policies.specs import ChosenPolicy, PolicySpec, find_policies
 from roboxim_runs.policies.waiting import SERVER_WAIT_S
 from roboxim_runs.storage.folder import RunFolder
@@ -44,8 +48,9 @@ if TYPE_CHECKING:
 class EvaluationConfig(EpisodesConfig):
     """Configuration of an evaluation."""
 
-    policies: str | PolicySpec | Sequence[str | PolicySpec]
-    """Policies under test; a text is ``[NAME=]SPEC``, e.g. ``random`` or ``mine=my_policy.py:MyPolicy``."""
+    policies: str | PolicySpec | Policy | type[Policy] | Sequence[str | PolicySpec | Policy | type[Policy]]
+    """Policies under test; a text is ``[NAME=]SPEC``, e.g. ``random`` or ``mine=my_policy.py:MyPolicy``. A subclass of
+    `BasePolicy`, or an instance of one, is served to the workers by the calling process; its name is the class's."""
     out: Path | str = "runs/evaluation"
     """Folder of the report, with a subfolder for each policy."""
     usual: ClassVar[int] = 20
@@ -122,13 +127,17 @@ def evaluate(
         UnavailableError: When a policy's server stays away.
     """
     named = config.policies
-    chosen = find_policies([named] if isinstance(named, str | PolicySpec) else named)
+    chosen = find_policies(named if isinstance(named, Sequence) and not isinstance(named, str) else [named])
+    require_local(chosen, executor, config.workers)
     text, out = config.task_text(), Path(config.out)
     config = config.sized(text, on_event)
     cells = cells_of(text)
     require_cameras(chosen, cells)
     if not config.other_robot:
         require_robots(chosen, cells)
+    warnings = view_warnings(chosen, cells)
+    for warning in warnings:
+        on_event(Notice(text=warning))
     jobs = {policy.name: _job(config, policy, text, _server(config, policy, on_event)) for policy in chosen}
     for policy in chosen:
         require_same_policy(policy.name, jobs[policy.name], out / policy.name, repair=config.repair)
@@ -137,7 +146,7 @@ def evaluate(
         for policy in chosen:
             job = jobs[policy.name]
             there = _report_resume(policy.name, job, on_event, repair=config.repair)
-            with _served(policy, servers if there < len(job.indices) else ()) as served:
+            with _served(policy, servers, missing=there < len(job.indices)) as served:
                 results = run_episodes(
                     job, f"rollouts of {policy.name}", environment, cancellation=cancellation, executor=executor,
                     on_event=served.with_notices(on_event) if served else on_event, repair=config.repair,
@@ -157,15 +166,21 @@ def evaluate(
         command=config.command or _call(config), stopped=config.stopped,
         undecided=config.undecided,
         trained=tuple(policy.name for policy in chosen if policy.is_checkpoint),
-        film=config.film,
+        film=config.film, warnings=warnings,
     )  # fmt: skip
     return write_evaluation(record, found, out, page=config.page)
 
 
 @contextlib.contextmanager
-def _served(policy: ChosenPolicy, executors: Sequence[Executor]) -> Iterator[PolicyServers | None]:
+def _served(
+    policy: ChosenPolicy, executors: Sequence[Executor], *, missing: bool
+) -> Iterator[PolicyServers | OwnServer | None]:
     """Serve a policy while the block runs; none: the workers have it themselves, or it is behind a server anyway."""
-    if not executors or policy.launch is None or policy.acting.is_remote:
+    if policy.own is not None and missing:
+        with OwnServer(policy.own) as own:
+            yield own
+        return
+    if not missing or not executors or policy.launch is None or policy.acting.is_remote:
         yield None
         return
     from roboxim_runs.policies.servers import PolicyServers

@@ -9,7 +9,7 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from types import TracebackType
@@ -36,6 +36,28 @@ class _Serving:
 
     url: str
     description: dict[str, Any]
+
+
+def behind_server(work: Work, url: str, description: Mapping[str, Any], key: str) -> Work:
+    """Return the work of an episode worker whose policy is behind a server.
+
+    Args:
+        work: The work, whose graph has the policy itself.
+        url: Address of the server.
+        description: The policy's `PolicyDescription` as plain data.
+        key: The server's key.
+    """
+    graph = work.settings["graph"]
+    options = {
+        "url": url, "description": description, "key_env": POLICY_KEY,
+        "timeout_s": SHARE_OF_PATIENCE * work.settings["config"]["policy_timeout_s"],
+    }  # fmt: skip
+    launches = [{**launch, "spec": SERVED, "options": options} for launch in graph["policies"]]
+    return replace(
+        work,
+        settings={**work.settings, "graph": {**graph, "policies": launches}, "served": True},
+        environment={**work.environment, POLICY_KEY: key},
+    )
 
 
 class PolicyServers:
@@ -102,17 +124,7 @@ class PolicyServers:
             RoboximError: When the servers cannot run.
         """
         serving = self._wait(number, closing)
-        graph = work.settings["graph"]
-        options = {
-            "url": serving.url, "description": serving.description, "key_env": POLICY_KEY,
-            "timeout_s": SHARE_OF_PATIENCE * work.settings["config"]["policy_timeout_s"],
-        }  # fmt: skip
-        launches = [{**launch, "spec": SERVED, "options": options} for launch in graph["policies"]]
-        return replace(
-            work,
-            settings={**work.settings, "graph": {**graph, "policies": launches}, "served": True},
-            environment={**work.environment, POLICY_KEY: self._key},
-        )
+        return behind_server(work, serving.url, serving.description, self._key)
 
     def _wait(self, number: int, closing: threading.Event) -> _Serving:
         with self._changed:

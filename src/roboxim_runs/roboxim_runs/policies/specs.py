@@ -23,6 +23,7 @@ from roboxim_policies.learning.checkpoint_file import read_description
 from roboxim_policies.learning.families import FAMILIES
 from roboxim_policies.remote import SERVERS_OWN, RemotePolicy
 from roboxim_policies.wires import REFUSED
+from roboxim_runs.policies.here import OwnPolicy, own_policy
 
 EXPERT = "expert"
 REWORDED = "reworded"
@@ -53,6 +54,8 @@ class ChosenPolicy(PolicySpec):
 
     make: Callable[..., Policy] | None = None
     """Its class or factory; none for the expert."""
+    own: OwnPolicy | None = None
+    """The caller's class or instance, which this process serves; none: each worker makes the policy."""
 
     @property
     def launch(self) -> PolicyLaunch | None:
@@ -118,9 +121,20 @@ class ChosenPolicy(PolicySpec):
             str(read_description(Path(acting.options[CHECKPOINT])).get("robot", "")) if acting.spec in FAMILIES else ""
         )
 
+    @property
+    def camera_views(self) -> dict[str, tuple[str, ...]]:
+        """Camera to the files of ``config/cameras`` from whose places it saw in the training; empty when unknown."""
+        acting = self.acting
+        if acting.spec not in FAMILIES:
+            return {}
+        found = read_description(Path(acting.options[CHECKPOINT])).get("camera_views", {})
+        return {str(camera): tuple(map(str, views)) for camera, views in found.items()}
+
     def files(self, out: Path) -> dict[str, str]:
         """Return the files that define the policy, see `policy_files`, without those in the results' folder."""
         acting = self.acting
+        if self.own is not None:
+            return self.own.files()
         return {} if acting.make is None else policy_files(acting.spec, acting.make, acting.options, exclude=out)
 
 
@@ -148,11 +162,11 @@ def choose_policies(
     return list(chosen.values())
 
 
-def find_policies(policies: Sequence[PolicySpec | str]) -> list[ChosenPolicy]:
+def find_policies(policies: Sequence[Any]) -> list[ChosenPolicy]:
     """Find each policy without making an instance.
 
     Args:
-        policies: Policies; a text is ``[NAME=]SPEC``.
+        policies: Policies; a text is ``[NAME=]SPEC``. A class or an instance is a policy of this process.
 
     Raises:
         ConfigError: When names are equal, a policy is unknown, or a policy does not take its options.
@@ -164,15 +178,14 @@ def find_policies(policies: Sequence[PolicySpec | str]) -> list[ChosenPolicy]:
     return list(found.values())
 
 
-def _found(policy: PolicySpec | str) -> ChosenPolicy:
+def _found(policy: Any) -> ChosenPolicy:
     if isinstance(policy, ChosenPolicy):
         return policy
     if isinstance(policy, str):
         return _named(policy)
     if not isinstance(policy, PolicySpec):
-        raise ConfigError(
-            f"a policy is named by a text such as 'bc' or 'my_policy.py:MyPolicy', or by a PolicySpec; got {policy!r}"
-        )
+        own = own_policy(policy)
+        return ChosenPolicy(name=own.cls.__name__, spec=own.spec, make=own.cls, own=own)
     chosen = _named(f"{policy.name}={policy.spec}" if policy.name else policy.spec)
     return replace(chosen, options=dict(policy.options))
 
@@ -296,7 +309,8 @@ def _require_valid(policy: ChosenPolicy) -> None:
             f"policy '{policy.name}' needs a checkpoint, e.g. the folder that 'roboxim train {policy.spec}' wrote: "
             f"--checkpoint {policy.name}=PATH, or PolicySpec(spec='{policy.spec}', options={{'checkpoint': PATH}})"
         )
-    require_arguments(policy.spec, policy.make, policy.options)
+    if policy.own is None or not policy.own.is_instance:
+        require_arguments(policy.spec, policy.make, policy.options)
     if policy.acting is not policy:
         _require_valid(policy.acting)
     elif policy.spec in FAMILIES:

@@ -215,3 +215,18 @@ def test_options_and_checkpoints_reach_the_policy_that_they_are_for(folder):
     both = choose_policies(["a=bc", "b=bc"], ["bc"], ["b.execute=2"])
     assert [policy.options["checkpoint"] for policy in both] == [str(folder / "bc")] * 2
     assert choose_policies(["expert"])[0].launch is None
+
+
+def test_a_checkpoint_that_sees_from_another_place_is_warned_of_once_and_in_the_report(folder):
+    write_checkpoint(folder / "bc", robot="panda", camera_views={"workspace": ["workspace"], "wrist": ["wrist"]})
+    said = evaluate("--policy", "bc", "--checkpoint", "bc", "--task", "pick_cube")
+    warning = (
+        "bc was trained with camera 'workspace' in the place of 'workspace', and sees from that of 'whole' here, so "
+        "its rate may be lower (as trained: --camera workspace --camera wrist)."
+    )
+    assert said.count(warning) == 1
+    assert "so its rate may be lower" in (folder / "out" / "report.html").read_text()
+    as_trained = ("--camera", "workspace", "--camera", "wrist", "--out", "other")
+    assert "was trained" not in evaluate("--policy", "bc", "--checkpoint", "bc", "--task", "pick_cube", *as_trained)
+    write_checkpoint(folder / "old", robot="panda")
+    assert "was trained" not in evaluate("--policy", "bc", "--checkpoint", "old", "--out", "third")

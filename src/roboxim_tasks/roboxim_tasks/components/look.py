@@ -51,7 +51,7 @@ class LookReset(ResetComponent):
     """Draws a look and lights.
 
     Randomisation: the look and the lights have a random stream each. The task records them as ``drawn["look"]`` and
-    ``drawn["lights"]``.
+    ``drawn["lights"]``, and the look's view as ``drawn["camera.workspace"]``.
     """
 
     name = "look"
@@ -83,6 +83,7 @@ def _viewed(scene: SceneSpec, view: str, context: ResetContext) -> SceneSpec:
     varied = context.config.reset["cameras"].views if "cameras" in context.config.reset else {}
     if VIEWED in varied:
         return scene
+    context.record(f"camera.{VIEWED}", Choice(values=(view,)), view, always=True)
     file = load_camera(view)
     cameras = [
         with_noise_seed(replace(file, name=VIEWED, parent=camera_parent(file, context.arm)), context.seed)
