@@ -36,6 +36,11 @@ def check_file(file: h5py.File) -> tuple[list[str], list[str], list[str]]:
                 problems.append(f"{name}/{key}: {len(demo[key])} rows, expected {count} finite ones")
         if demo["dones"][:].tolist() != [0] * (count - 1) + [1]:
             problems.append(f"{name}: dones {demo['dones'][:]}")
+        if "subtask_index" in demo:
+            words = json.loads(demo.attrs["roboxim"])["subtasks"]
+            numbers = demo["subtask_index"][:]
+            if len(numbers) != count or not all(words[number].strip() for number in numbers):
+                problems.append(f"{name}: subtasks {numbers} of {words}")
     masked = [name.decode() for mask in file["mask"].values() for name in mask[:]]
     if sorted(masked) != sorted(data):
         problems.append("the masks do not name every episode once")
@@ -45,9 +50,10 @@ def check_file(file: h5py.File) -> tuple[list[str], list[str], list[str]]:
 
 def check_items(path: Path, file: h5py.File, mask: str, low: list[str], images: list[str]) -> list[str]:
     """Compare every item of a split that robomimic returns with the file."""
+    subtask = ("subtask_index",) if "subtask_index" in file["data/demo_0"] else ()
     dataset = SequenceDataset(
-        hdf5_path=str(path), obs_keys=(*low, *images), dataset_keys=("actions", "rewards", "dones"), frame_stack=1,
-        seq_length=WINDOW, pad_frame_stack=True, pad_seq_length=True, get_pad_mask=True, goal_mode=None,
+        hdf5_path=str(path), obs_keys=(*low, *images), dataset_keys=("actions", "rewards", "dones", *subtask),
+        frame_stack=1, seq_length=WINDOW, pad_frame_stack=True, pad_seq_length=True, get_pad_mask=True, goal_mode=None,
         hdf5_cache_mode=None, hdf5_use_swmr=False, load_next_obs=True, filter_by_attribute=mask,
     )  # fmt: skip
     problems, at = [], 0
@@ -61,6 +67,8 @@ def check_items(path: Path, file: h5py.File, mask: str, low: list[str], images: 
                 problems.append(f"{name}, step {step}: window of actions")
             if item["pad_mask"].ravel().tolist() != [step + i < count for i in range(WINDOW)]:
                 problems.append(f"{name}, step {step}: padding")
+            if subtask and not np.array_equal(item["subtask_index"], demo["subtask_index"][:][inside]):
+                problems.append(f"{name}, step {step}: window of subtasks")
             for key in (*low, *images):
                 for group, row in (("obs", step), ("next_obs", min(step + 1, count - 1))):
                     shown, stored = item[group][key][0], demo["obs"][key][row]

@@ -22,6 +22,7 @@ os.environ["HF_HUB_OFFLINE"] = os.environ["HF_DATASETS_OFFLINE"] = "1"
 import av  # noqa: E402 - after the environment
 import lerobot  # noqa: E402
 import numpy as np  # noqa: E402
+import pyarrow.parquet as pq  # noqa: E402
 import torch  # noqa: E402
 from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 
@@ -62,10 +63,20 @@ def frames_in_order(dataset: LeRobotDataset, key: str, root: Path) -> Iterator[n
                 yield frame.to_rgb().to_ndarray()
 
 
+def subtasks_of(root: Path) -> list[str]:
+    """Return the subtasks of a dataset by their number, read without lerobot."""
+    if (root / "meta" / "subtasks.jsonl").exists():
+        rows = [json.loads(line) for line in (root / "meta" / "subtasks.jsonl").read_text().splitlines()]
+    else:
+        rows = pq.read_table(root / "meta" / "subtasks.parquet").to_pylist()
+    return [row["subtask"] for row in sorted(rows, key=lambda row: row["subtask_index"])]
+
+
 def check_frames(dataset: LeRobotDataset, root: Path, problems: Problems) -> None:
     """Load every frame and compare it with what the files hold at its place."""
     meta = dataset.meta
     videos = {key: frames_in_order(dataset, key, root) for key in meta.video_keys}
+    subtasks = subtasks_of(root) if "subtask_index" in meta.features else []
     expected_index = 0
     for episode in range(meta.total_episodes):
         about = meta.episodes[episode]
@@ -78,6 +89,11 @@ def check_frames(dataset: LeRobotDataset, root: Path, problems: Problems) -> Non
             time = np.float32(frame_index / meta.fps)
             problems.require(item["timestamp"].item() == time, f"{place}: at {item['timestamp']} s, expected {time}")
             problems.require(item["task"] == about["tasks"][0], f"{place}: task '{item['task']}'")
+            if subtasks:
+                words = subtasks[item["subtask_index"].item()]
+                problems.require(words.strip(), f"{place}: an empty subtask")
+                if lerobot.__version__.startswith("0.4"):  # later and earlier ones do not read the words
+                    problems.require(item["subtask"] == words, f"{place}: subtask '{item['subtask']}', not '{words}'")
             for key, frames in videos.items():
                 shown = (item[key].permute(1, 2, 0).numpy() * 255).round().astype(np.int16)
                 difference = int(np.abs(shown - next(frames).astype(np.int16)).max())
@@ -168,6 +184,8 @@ def verify(root: Path) -> int:
             f"lerobot {lerobot.__version__}: {root}, version {meta.info['codebase_version']}, robot {meta.robot_type}"
         )
         print(f"{meta.total_episodes} episodes, {len(dataset)} frames at {dataset.fps} Hz, {meta.total_tasks} tasks")
+        if "subtask_index" in meta.features:
+            print(f"subtasks: {', '.join(subtasks_of(root)[:5])}")
         print(f"cameras: {', '.join(f'{key} {meta.shapes[key]}' for key in meta.camera_keys)}")
         action = next(key for key in ("action", "actions") if key in meta.features)
         check_frames(dataset, root, problems)

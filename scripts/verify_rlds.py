@@ -52,6 +52,8 @@ def episode_problems(episode: dict[str, Any], steps: list[dict[str, Any]], image
     instructions = {step["language_instruction"] for step in steps}
     if len(instructions) != 1 or not next(iter(instructions)).decode().strip():
         yield f"its instruction is not one text: {instructions}"
+    if "language_subtask" in steps[0] and not all(step["language_subtask"].decode().strip() for step in steps):
+        yield "a step has an empty subtask"
     rewards = [float(step["reward"]) for step in steps]
     if rewards != [0.0] * last + [float(metadata["success"])]:
         yield f"its rewards do not say that success is {bool(metadata['success'])}: {rewards}"
@@ -95,13 +97,14 @@ def verify(path: Path) -> int:
     actions = []
     for split in builder.info.splits:
         episodes = lengths = 0
-        instructions = set()
+        instructions, subtasks = set(), set()
         for episode in builder.as_dataset(split=split):
             steps = list(episode["steps"].as_numpy_iterator())
             name = episode["episode_metadata"]["episode_id"].numpy().decode()
             problems += [f"{split}/{name}: {problem}" for problem in episode_problems(episode, steps, images)]
             actions += [step["action"] for step in steps]
             instructions |= {step["language_instruction"].decode() for step in steps}
+            subtasks |= {step["language_subtask"].decode() for step in steps if "language_subtask" in step}
             episodes, lengths = episodes + 1, lengths + len(steps)
         expected = builder.info.splits[split].num_examples
         if episodes != expected:
@@ -109,6 +112,7 @@ def verify(path: Path) -> int:
         print(
             f"{split}: {episodes} episodes, {lengths} steps, "
             f"{len(instructions)} instructions {sorted(instructions)[:3]}"
+            + (f", {len(subtasks)} subtasks {sorted(subtasks)[:5]}" if subtasks else "")
         )
     if "train" not in builder.info.splits:
         problems.append("the split 'train' is missing")

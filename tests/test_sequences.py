@@ -12,8 +12,9 @@ from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
-from roboxim_core.specs import TaskSpec
+from roboxim_core.specs import EntitySpec, TaskSpec
 from roboxim_tasks.config import load_task_config, parse_task_config
+from roboxim_tasks.meaning import asks_for_same, read_instruction
 from roboxim_tasks.sampling.episodes import EpisodeGenerator
 from roboxim_tasks.sequences import steps_of, words_of
 from roboxim_tasks.sequences.steps import arguments_of, own_objects
@@ -83,6 +84,21 @@ def test_sentence_joins_the_steps():
     task = EpisodeGenerator(ModelLibrary()).task(DRAWN, load_task_config("drawer_chain"))
     opened, put, shut = words_of(task)
     assert task.instruction == f"{opened}, then {put[0].lower()}{put[1:]}, then {shut[0].lower()}{shut[1:]}"
+
+
+@pytest.mark.parametrize("name", SHIPPED[:1] + SHIPPED[2:])
+def test_a_sentence_of_several_steps_is_read(name):
+    library, config = ModelLibrary(), load_task_config(name)
+    generator = EpisodeGenerator(library)
+    task, other = (generator.task(replace(DRAWN, index=index), config) for index in (0, 1))
+    entities = tuple(
+        EntitySpec(name=thing.entity, model=thing.model, modifiers=thing.modifiers) for thing in task.objects.values()
+    )
+    scene = replace(config.base_scene(), entities=entities)
+    reading = read_instruction(task.instruction, scene, library)
+    assert (reading.understood, reading.absent) == (True, ())
+    assert any(asks_for_same(read, task) for read in reading.tasks)
+    assert not any(asks_for_same(read, task) for read in read_instruction(other.instruction, scene, library).tasks)
 
 
 def test_expert_does_both_steps(tmp_path):

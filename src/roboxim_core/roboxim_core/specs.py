@@ -8,6 +8,7 @@ All are frozen plain values made of numbers, strings, tuples and one another. Th
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Mapping
@@ -70,6 +71,12 @@ class TaskSpec:
 
     Results are grouped by them. Lists are recorded with every draw, and numbers of ranges with four digits; positions
     and vectors of ranges are in the scene."""
+
+    @property
+    def step_words(self) -> tuple[str, ...]:
+        """Sentence of each step of a task of several steps, in order; empty: the task has one step."""
+        names = (f"step_{number}.instruction" for number in itertools.count(1))
+        return tuple(str(self.arguments[name]) for name in itertools.takewhile(self.arguments.__contains__, names))
 
     def __hash__(self) -> int:
         """Return the hash; equal values have equal hashes."""

@@ -6,6 +6,12 @@ from dataclasses import dataclass, field
 
 NOT_HELD = "not_held"
 """Reason while a task is solved, but not yet for the required time."""
+STEP = "step"
+"""Predicate of tasks of several steps: number, from 1, of the first step that is not done, or of the last one."""
+STEPS_DONE = "steps_done"
+"""Predicate of tasks of several steps: number of steps that are done and hold."""
+STEPS_SHARE = "steps_share"
+"""Predicate of tasks of several steps: share of steps that are done and hold, 0..1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,3 +33,8 @@ class Verdict:
     def solved(self) -> bool:
         """Whether all conditions of the skill hold at this tick, for however short a time."""
         return self.success or self.reason == NOT_HELD
+
+    @property
+    def step(self) -> int:
+        """Number, from 1, of the step at hand of a task of several steps; 0: the task has one step."""
+        return int(self.predicates.get(STEP, 0))

@@ -140,6 +140,7 @@ class _Names:
     signals: tuple[str, ...]
     cameras: tuple[str, ...]
     executed: bool
+    subtasks: bool
 
 
 def _common_names(a: Dataset, b: Dataset, ignore: Sequence[str], found: Comparison, *, with_images: bool) -> _Names:
@@ -170,7 +171,7 @@ def _common_names(a: Dataset, b: Dataset, ignore: Sequence[str], found: Comparis
             found.add(f"{text}: {one} against {other}")
     found.compared = {
         "numbers": ", ".join(["action", *vectors, *signals]) + ", bit for bit as float32",
-        "texts": "instruction, episode id",
+        "texts": "instruction, " + "subtask, " * (mine.subtasks or theirs.subtasks) + "episode id",
         "order": "by place in the split",
     }
     return _Names(
@@ -178,6 +179,7 @@ def _common_names(a: Dataset, b: Dataset, ignore: Sequence[str], found: Comparis
         signals=tuple(name for name in signals if name != EXECUTED),
         cameras=tuple(c for c in cameras if mine.cameras[c] == theirs.cameras[c]),
         executed=EXECUTED in signals,
+        subtasks=mine.subtasks or theirs.subtasks,
     )
 
 
@@ -201,6 +203,10 @@ def _compare_episode(
         if spoken[0] != spoken[1] and "instruction" not in reported and a.instruction == b.instruction:
             reported.add("instruction")
             found.add(f"instruction from step {one_step.index}: {spoken[0]!r} against {spoken[1]!r}", where)
+        at_hand = a.subtask(one_step), b.subtask(other_step)
+        if names.subtasks and at_hand[0] != at_hand[1] and not reported & {"subtask", "instruction"}:
+            reported.add("subtask")
+            found.add(f"subtask from step {one_step.index}: {at_hand[0]!r} against {at_hand[1]!r}", where)
         for name, mine, theirs in _numbers(one_step, other_step, names):
             if name not in reported and not same_bits(mine, theirs):
                 reported.add(name)

@@ -48,6 +48,8 @@ class Features:
     signals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Vector that no trainer reads (``sim.``...) to the names of its components; `episode.EXECUTED` is among them if
     the executed actions are stored."""
+    subtasks: bool = False
+    """Whether each step states its subtask (`Step.subtask`): the words of the step at hand of a longer task."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +86,7 @@ class Description:
         metadata: Mapping[str, Any],
         read: Callable[[Wanted], Iterator[Step]],
         instructions: Sequence[str] = (),
+        subtasks: Sequence[str] = (),
         name: str = "",
     ) -> Episode:
         """Return an episode of such a dataset.
@@ -96,6 +99,7 @@ class Description:
                 ``robot`` in a dataset of several); empty: it is another's dataset.
             read: Reads the steps.
             instructions: All instructions, if it has several.
+            subtasks: All subtasks, if its steps state them.
             name: Id of an episode of which no export says anything.
         """
         features = self.features
@@ -105,6 +109,7 @@ class Description:
             length=length,
             instruction=instruction,
             instructions=tuple(instructions) if len(instructions) > 1 else (),
+            subtasks=tuple(subtasks),
             semantics=self.semantics,
             cameras=features.cameras,
             success=None if solved is None else bool(solved),

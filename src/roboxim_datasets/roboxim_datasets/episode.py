@@ -114,6 +114,8 @@ class Step:
     """1 on the last step of a success, else 0."""
     instruction: str | None = None
     """Instruction of this step, where an episode has several; None: the episode's."""
+    subtask: str | None = None
+    """What is to be done at this step of a longer task, e.g. ``Open the top drawer``; None: not stated."""
     stamp_s: float | None = None
     """Time of the observation [s]; None: the format stores none. Writers do not take it, they count steps."""
 
@@ -169,6 +171,8 @@ class Episode:
     """Natural language instruction; of an episode with several, that of its first step."""
     instructions: tuple[str, ...] = ()
     """All instructions of its steps in the order in which they first occur; empty: only ``instruction``."""
+    subtasks: tuple[str, ...] = ()
+    """All subtasks that its steps state; empty: they state none."""
     semantics: ActionSemantics | None
     """Meaning of the actions; None: the dataset does not say."""
     cameras: Mapping[str, ImageSize]
@@ -249,6 +253,10 @@ class Episode:
         for name in names:
             if name not in have:
                 raise InvalidRequestError(f"episode '{self.episode_id}' has no {what} '{name}'; {one_of(have, name)}")
+
+    def subtask(self, step: Step) -> str:
+        """Return the subtask of a step as datasets that have subtasks store it: without one it is the instruction."""
+        return step.subtask or step.instruction or self.instruction
 
     def actions(self) -> Floats:
         """Read all actions, float32, shape (T, D)."""

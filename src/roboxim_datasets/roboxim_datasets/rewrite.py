@@ -337,7 +337,8 @@ def common_description(sources: Sequence[Dataset], *, keep_keys: bool = False) -
     text = first.text or f"{sum(map(len, sources))} episodes; robot: {first.robot or 'not stated'}; {rate}."
     metadata = _metadata_kinds(sources)
     outcomes = all(source.description.outcomes for source in sources)
-    features = replace(first.features, keys=keys)
+    subtasks = any(source.features.subtasks for source in sources)
+    features = replace(first.features, keys=keys, subtasks=subtasks)
     return replace(first, features=features, text=text, metadata=metadata, outcomes=outcomes)
 
 

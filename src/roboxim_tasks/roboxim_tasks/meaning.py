@@ -21,6 +21,7 @@ from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 from roboxim_tasks.config import task_config
 from roboxim_tasks.roles import SPOKEN, task_objects
 from roboxim_tasks.sampling.generators import GenerationContext
+from roboxim_tasks.sequences.steps import is_sequence, own_objects, sentences_of, steps_of, task_of
 from roboxim_tasks.skills import SKILLS, Skill
 
 DRAWER = re.compile(r"(?P<drawer>\w+) drawer of the (?P<whole>.+)")
@@ -49,6 +50,20 @@ def read_instruction(
         library: The models.
         templates: Skill to further templates, beside the skill's own.
     """
+    parts = sentences_of(text)
+    if len(parts) > 1:
+        readings = [read_instruction(part, scene, library, templates) for part in parts]
+        if all(reading.understood for reading in readings):
+            chosen = itertools.product(*(reading.tasks for reading in readings))
+            absent = dict.fromkeys(thing for reading in readings for thing in reading.absent)
+            return Reading(understood=True, tasks=tuple(task_of(steps, text) for steps in chosen), absent=tuple(absent))
+    return _read_one(text, scene, library, templates)
+
+
+def _read_one(
+    text: str, scene: SceneSpec, library: ModelLibrary, templates: Mapping[str, Iterable[str]] | None
+) -> Reading:
+    """Return what an instruction of one step asks for."""
     tasks: list[TaskSpec] = []
     absent: list[str] = []
     understood = False
@@ -91,10 +106,18 @@ def asks_for_same(first: TaskSpec, second: TaskSpec) -> bool:
     """Return whether two tasks are of the same skill, objects and words, thresholds aside."""
     if first.skill != second.skill:
         return False
+    if is_sequence(first.skill):
+        return all(map(asks_for_same, map(_alone, steps_of(first)), map(_alone, steps_of(second))))
     texts = {n for n, v in first.arguments.items() if isinstance(v, str)} | {"angle_deg"}
     return {t.entity for t in task_objects(first)} == {t.entity for t in task_objects(second)} and all(
         first.arguments.get(name) == second.arguments.get(name) for name in texts
     )
+
+
+def _alone(step: TaskSpec) -> TaskSpec:
+    """Return a step of a task without the objects that only other steps name."""
+    own = own_objects(step)
+    return replace(step, objects={role: thing for role, thing in step.objects.items() if role in own})
 
 
 def _match(template: str, text: str, skill: Skill, library: ModelLibrary) -> dict[str, str] | None:

@@ -46,8 +46,10 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Approach:
-    """How the hand came to the first object of the task, from tick 0 to the last first touch."""
+    """How the hand came to an object of the task: from the beginning of a step to the touch that counted."""
 
+    begin: int = 0
+    """Tick at which it begins."""
     distance_m: tuple[float, ...]
     """Distance of the tool centre point to its place at the touch that counted [m], one per tick up to that touch."""
     path_m: float
@@ -118,8 +120,8 @@ class Truth:
 
     solved: tuple[bool, ...]
     """Whether the recorded task counted as solved at each tick, from tick 0 to the last one, settling included."""
-    approach: Approach | None = None
-    """How the hand came to the object; none: it touched none."""
+    approaches: tuple[Approach, ...] = ()
+    """How the hand came to the object, for each step of the task; steps at which it touched none are left out."""
     meaning: Meaning | None = None
     """What the instruction asks for; none: its text is of no known template."""
     sightings: tuple[Sighting, ...] | None = None

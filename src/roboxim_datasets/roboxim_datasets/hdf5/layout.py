@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import from_plain, to_plain
@@ -19,6 +19,8 @@ MASKS: Mapping[str, str] = {"train": "train", "val": "valid"}
 """Split to robomimic's name of its mask; other splits keep their names."""
 INSTRUCTIONS = "instruction_index"
 """Number of each step's instruction in the episode's list, where it has several."""
+SUBTASKS = "subtask_index"
+"""Number of each step's subtask in the episode's list, in datasets whose steps state them."""
 ATTRIBUTE = "roboxim"
 """Attribute of ``data`` and of each episode with facts that the layout has no place for, JSON."""
 
@@ -35,6 +37,8 @@ class Hdf5Options:
 class Hdf5Content:
     """Where the parts of an `Episode` are: names below ``data/demo_N``."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("subtasks",)
+
     cameras: Mapping[str, str]
     """Name of a camera's images to the camera."""
     depth: Mapping[str, str] = field(default_factory=dict)
@@ -47,6 +51,8 @@ class Hdf5Content:
     """Name to the signal that it holds."""
     components: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Name of a vector, or ``actions``, to the names of its components; without them they are numbered."""
+    subtasks: bool = False
+    """Whether each step states its subtask."""
     outcomes: bool = True
     """Whether every episode says if it solved its task."""
     fps: float = 0.0
@@ -89,6 +95,7 @@ def content_of(description: Description) -> Hdf5Content:
             **{key: features.vectors[name] for key, name in vectors.items()},
             **features.signals,
         },
+        subtasks=features.subtasks,
         outcomes=description.outcomes,
         fps=description.fps,
         robot=description.robot,

@@ -19,7 +19,7 @@ from roboxim_datasets.account import Account
 from roboxim_datasets.dataset import Dataset, Description, Features
 from roboxim_datasets.episode import EXECUTED, Episode, ImageSize, Step, Wanted, solved
 from roboxim_datasets.files import file_in, has_file, reading
-from roboxim_datasets.hdf5.layout import ATTRIBUTE, INSTRUCTIONS, MASKS, STATISTICS_FILE, Hdf5Content
+from roboxim_datasets.hdf5.layout import ATTRIBUTE, INSTRUCTIONS, MASKS, STATISTICS_FILE, SUBTASKS, Hdf5Content
 from roboxim_datasets.hdf5.others import Array, arrays, changed, finite_rate, layout_of, reason_not_read
 from roboxim_datasets.hdf5.tree import attributes, leaves, numbers, opened, problem_of, require_no_external_links
 from roboxim_datasets.hdf5.tree import text_of as _text
@@ -198,6 +198,7 @@ class Hdf5Dataset(Dataset):
                 action=self._names("actions"),
                 vectors={name: self._names(key) for key, name in content.vectors.items()},
                 signals={name: self._names(key) for key, name in content.signals.items()},
+                subtasks=content.subtasks,
             ),
             fps=content.fps,
             robot=content.robot,
@@ -221,11 +222,12 @@ class Hdf5Dataset(Dataset):
             own = _object(attached.get(ATTRIBUTE, ""))
             length = len(numbers(group.get("actions"), f"{where}, 'actions'", len(_array(group, "actions", where))))
             rewarded = solved(numbers(group["rewards"], f"{where}, 'rewards'", length)) if _readable(group) else None
-        instructions = own.get("instructions")
+        instructions, subtasks = own.get("instructions"), own.get("subtasks")
         return self.description.episode(
             length=length,
             instruction=self._instruction(attached),
             instructions=[str(text) for text in instructions] if isinstance(instructions, list) else (),
+            subtasks=[str(text) for text in subtasks] if isinstance(subtasks, list) else (),
             success=_flag(attached["success"]) if "success" in attached else rewarded,
             metadata=own,
             name="" if ATTRIBUTE in self._attributes else demo,
@@ -268,7 +270,8 @@ class Hdf5Dataset(Dataset):
         vectors = {name: rows(key) for key, name in content.vectors.items()}
         signals = {name: rows(key) for key, name in content.signals.items()}
         executed = signals.pop(EXECUTED, None)
-        texts = self._texts(group, rows) if INSTRUCTIONS in group else [None] * length
+        texts = self._texts(group, rows, INSTRUCTIONS, "instructions", length)
+        subtasks = self._texts(group, rows, SUBTASKS, "subtasks", length)
         for index, action in enumerate(actions):
             yield Step(
                 index=index,
@@ -281,12 +284,15 @@ class Hdf5Dataset(Dataset):
                 signals={name: values[index] for name, values in signals.items()},
                 reward=float(rewards[index]),
                 instruction=texts[index],
+                subtask=subtasks[index],
             )
 
-    def _texts(self, group: Any, rows: Any) -> list[str | None]:
-        """Return the instruction of each step."""
-        listed = _object(attributes(group).get(ATTRIBUTE, "")).get("instructions", [])
-        return [str(listed[int(number)]) for number in rows(INSTRUCTIONS)[:, 0]]
+    def _texts(self, group: Any, rows: Any, key: str, listed: str, length: int) -> list[str | None]:
+        """Return the text of each step that an array of numbers names; None: there is no such array."""
+        own = _object(attributes(group).get(ATTRIBUTE, ""))
+        if key not in group or ATTRIBUTE not in self._attributes:
+            return [None] * length
+        return [str(own.get(listed, [])[int(number)]) for number in rows(key)[:, 0]]
 
     # -- what the file holds
 
@@ -342,7 +348,7 @@ class Hdf5Dataset(Dataset):
                 account.leaves_out("key", path, "after the last action", array.length - length)
             elif path == "rewards" and not array.problem:
                 account.reads("key", path, length, changed="" if own else changed(path, array))
-            elif path == INSTRUCTIONS and own:
+            elif path in (INSTRUCTIONS, SUBTASKS) and own:
                 account.reads("key", path, array.length)
             elif path == "dones" and own:
                 account.implies("key", path, _REPEATED[path], array.length)

@@ -14,7 +14,16 @@ from roboxim_datasets.build import ResumableBuild, write_files
 from roboxim_datasets.dataset import Description
 from roboxim_datasets.episode import Episode, Step
 from roboxim_datasets.hdf5.disk import new_file
-from roboxim_datasets.hdf5.layout import ATTRIBUTE, FILE, INSTRUCTIONS, MASKS, STATISTICS_FILE, Hdf5Options, content_of
+from roboxim_datasets.hdf5.layout import (
+    ATTRIBUTE,
+    FILE,
+    INSTRUCTIONS,
+    MASKS,
+    STATISTICS_FILE,
+    SUBTASKS,
+    Hdf5Options,
+    content_of,
+)
 from roboxim_datasets.statistics import VectorStatistics
 
 _GYM = 2  # robomimic's number of the kind of environment
@@ -83,6 +92,9 @@ class Hdf5Writer:
             attached["robot"] = episode.robot
         if episode.instructions:
             attached["instructions"] = list(episode.instructions)
+        subtasks = list(dict.fromkeys([*episode.subtasks, *(episode.instructions or [episode.instruction])]))
+        if content.subtasks:
+            attached["subtasks"] = subtasks
         group.attrs[ATTRIBUTE] = json.dumps(attached)
         if not length:
             raise InvalidRequestError(f"episode '{episode.episode_id}' has no steps; leave it out")
@@ -91,6 +103,7 @@ class Hdf5Writer:
         masks = {key: self._map(group, key, c, length, "uint16") for key, c in content.segmentation.items()}
         rows: dict[str, list[Any]] = {key: [] for key in (*content.components, "rewards")}
         spoken: list[int] = []
+        at_hand: list[int] = []
         for step in episode.steps(
             list(content.cameras.values()),
             depth=list(content.depth.values()),
@@ -100,6 +113,8 @@ class Hdf5Writer:
                 rows[key].append(values)
             if episode.instructions:
                 spoken.append(episode.instructions.index(step.instruction or episode.instruction))
+            if content.subtasks:
+                at_hand.append(subtasks.index(episode.subtask(step)))
             for key, dataset in images.items():
                 dataset[step.index] = step.images[content.cameras[key]]
             for key, dataset in depth.items():
@@ -110,6 +125,8 @@ class Hdf5Writer:
             group.create_dataset(key, data=self._checked(key, np.array(collected, np.float32)))
         if spoken:
             group.create_dataset(INSTRUCTIONS, data=np.array(spoken, np.int64))
+        if at_hand:
+            group.create_dataset(SUBTASKS, data=np.array(at_hand, np.int64))
         group.create_dataset("dones", data=np.eye(length, dtype=np.int64)[-1])
 
     def _numbers(self, step: Step) -> dict[str, Any]:

@@ -23,9 +23,12 @@ from roboxim_datasets.lerobot.layout import (
     INFO_FILE,
     ROBOXIM_EPISODES_FILE,
     STATS_FILE,
-    TASKS_FILE,
+    SUBTASK_INDEX,
+    SUBTASKS,
+    TASKS,
     VIDEO_PATH,
     LeRobotLayout,
+    table_of_texts,
 )
 from roboxim_datasets.lerobot.pieces import Array, Piece, complete_table, index_arrays
 from roboxim_datasets.lerobot.stats import DatasetStatistics, Stats, episode_stats
@@ -68,17 +71,20 @@ def assemble(build: ResumableBuild, layout: LeRobotLayout, videos: VideoWriters)
     splits = build.split_entries()
     entries = [entry for split in splits.values() for entry in split]
     tasks = list(dict.fromkeys(text for entry in entries for text in _instructions(entry)))
+    subtasks = list(dict.fromkeys(text for entry in entries for text in entry.get("subtasks", ())))
     build.staged.mkdir()
     statistics = DatasetStatistics(layout)
     target = _Version30(build, layout) if layout.version == "3.0" else _Version21(build, layout)
     joined = target.videos(entries, videos)
     lines = []
     with target:
-        for episode in _numbered(build, layout, entries, tasks):
+        for episode in _numbered(build, layout, entries, tasks, subtasks):
             target.add(episode, episode_stats(layout, episode.piece, episode.indices))
             statistics.add(episode.piece, episode.indices)
             lines.append(json.dumps(episode.piece.facts["episode"]) + "\n")
-    target.tasks(tasks)
+    target.texts(TASKS, tasks)
+    if layout.subtasks:
+        target.texts(SUBTASKS, subtasks)
     frames = sum(entry["length"] for entry in entries)
     info = layout.info(tasks=len(tasks), frames=frames, splits={name: len(split) for name, split in splits.items()})
     texts = {
@@ -95,15 +101,17 @@ def assemble(build: ResumableBuild, layout: LeRobotLayout, videos: VideoWriters)
 
 
 def _numbered(
-    build: ResumableBuild, layout: LeRobotLayout, entries: list[Facts], tasks: list[str]
+    build: ResumableBuild, layout: LeRobotLayout, entries: list[Facts], tasks: list[str], subtasks: list[str]
 ) -> Iterator[_Numbered]:
     first = 0
-    numbers = {task: number for number, task in enumerate(tasks)}
+    numbers, parts = ({text: number for number, text in enumerate(texts)} for texts in (tasks, subtasks))
     for index, entry in enumerate(entries):
         piece = Piece.read(build.piece(entry["split"], entry["number"], "rows.arrow"))
         spoken = entry.get("spoken") or [None] * len(piece)
         task = np.array([numbers[text or entry["instruction"]] for text in spoken], np.int64)
         indices = index_arrays(len(piece), fps=layout.fps, episode=index, first=first, task=task)
+        if layout.subtasks:
+            indices[SUBTASK_INDEX] = np.array([parts[text] for text in entry["subtasks"]], np.int64)
         yield _Numbered(index=index, first=first, facts=entry, piece=piece, indices=indices)
         first += len(piece)
 
@@ -188,21 +196,23 @@ class _Version30:
                 raise AssertionError("the table of episodes went to another file than it says")
             self._rows = []
 
-    def tasks(self, tasks: list[str]) -> None:
-        """Write the instructions; row k is task k, with the instruction as pandas' index."""
+    def texts(self, names: tuple[str, str], texts: list[str]) -> None:
+        """Write instructions or subtasks; row k is number k, with the text as pandas' index."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": tasks})
-        column = {"field_name": "task", "name": "task", "pandas_type": "unicode", "numpy_type": "object"}
-        number = {"field_name": "task_index", "name": "task_index", "pandas_type": "int64", "numpy_type": "int64"}
+        name, index = names[0], f"{names[0]}_index"
+        table = pa.table({index: pa.array(range(len(texts)), pa.int64()), name: texts})
+        column = {"field_name": name, "name": name, "pandas_type": "unicode", "numpy_type": "object"}
+        number = {"field_name": index, "name": index, "pandas_type": "int64", "numpy_type": "int64"}
         about = {
-            "index_columns": ["task"],
+            "index_columns": [name],
             "column_indexes": [],
             "columns": [{**number, "metadata": None}, {**column, "metadata": None}],
             "pandas_version": "2.3.0",
         }
-        pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(about)}), self._root / TASKS_FILE)
+        file = self._root / table_of_texts(names, "3.0")
+        pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(about)}), file)
 
     def __enter__(self) -> _Version30:
         return self
@@ -244,10 +254,11 @@ class _Version21:
         self._episodes.write(json.dumps(entry, ensure_ascii=False) + "\n")
         self._stats.write(json.dumps({"episode_index": index, "stats": stats}) + "\n")
 
-    def tasks(self, tasks: list[str]) -> None:
-        """Write the instructions."""
-        lines = (json.dumps({"task_index": i, "task": task}, ensure_ascii=False) + "\n" for i, task in enumerate(tasks))
-        (self._root / "meta" / "tasks.jsonl").write_text("".join(lines))
+    def texts(self, names: tuple[str, str], texts: list[str]) -> None:
+        """Write instructions or subtasks."""
+        rows = [{f"{names[0]}_index": number, names[0]: text} for number, text in enumerate(texts)]
+        lines = "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows)
+        (self._root / table_of_texts(names, "2.1")).write_text(lines)
 
     def __enter__(self) -> _Version21:
         return self

@@ -159,6 +159,7 @@ def layout_of(description: Description, content: LeRobotContent, options: LeRobo
             names.done: Column(dtype="bool"),
             **{key: Column(names=features.signals[signal]) for key, signal in content.signals.items()},
         },
+        subtasks=features.subtasks,
         codec="" if options.images else options.codec,
         data_file_bytes=options.data_file_mib << 20,
         video_file_bytes=options.video_file_mib << 20,

@@ -19,7 +19,10 @@ Info = dict[str, Any]
 
 INFO_FILE = "meta/info.json"
 STATS_FILE = "meta/stats.json"
-TASKS_FILE = "meta/tasks.parquet"
+TASKS = "task", "tasks"
+"""Name of an instruction's column, and of the table of instructions."""
+SUBTASKS = "subtask", "subtasks"
+"""Name of a subtask's column, and of the table of subtasks."""
 MODALITY_FILE = "meta/modality.json"
 ROBOXIM_FILE = "meta/roboxim.json"
 """Facts that the format has no place for: action semantics, state fields, camera names."""
@@ -102,6 +105,13 @@ INDEX_COLUMNS: Mapping[str, Column] = {
     "task_index": Column(dtype="int64"),
 }
 """Columns of every dataset."""
+SUBTASK_INDEX = "subtask_index"
+"""Column with the number of each step's subtask, as lerobot 0.4 and 0.5 read it; 0.6 ignores it."""
+
+
+def table_of_texts(names: tuple[str, str], version: str) -> str:
+    """Return the file of `TASKS` or `SUBTASKS`."""
+    return f"meta/{names[1]}.{'parquet' if version == '3.0' else 'jsonl'}"
 
 
 def image_type() -> pa.DataType:
@@ -127,6 +137,8 @@ class LeRobotLayout:
     """Name of a column to its type, without images and `INDEX_COLUMNS`."""
     depth: Mapping[str, ImageSize] = field(default_factory=dict)
     """Column of a camera's depth or segmentation (16-bit PNG images) to their size."""
+    subtasks: bool = False
+    """Whether each step has a subtask."""
     codec: str = "h264"
     """Video codec; empty: images are PNG columns."""
     data_file_bytes: int = 100 << 20
@@ -148,10 +160,15 @@ class LeRobotLayout:
         for size in self.cameras.values() if self.codec else ():
             video_codec(self.codec, height=size.height, width=size.width)
         for name in (*self.cameras, *self.columns):
-            if "/" in name or name in INDEX_COLUMNS:
+            if "/" in name or name in (*INDEX_COLUMNS, SUBTASK_INDEX):
                 raise InvalidRequestError(
                     f"a column cannot be called '{name}': it has a slash or is a column of indices"
                 )
+
+    @property
+    def index_columns(self) -> Mapping[str, Column]:
+        """Columns of indices."""
+        return {**INDEX_COLUMNS, **({SUBTASK_INDEX: Column(dtype="int64")} if self.subtasks else {})}
 
     def features(self) -> Info:
         """Return ``features`` of ``meta/info.json``."""
@@ -162,7 +179,7 @@ class LeRobotLayout:
                 found[key]["info"] = self._video_info(size)
         for key, size in self.depth.items():
             found[key] = _image_feature(size, 1, "image")
-        for key, column in {**self.columns, **INDEX_COLUMNS}.items():
+        for key, column in {**self.columns, **self.index_columns}.items():
             names = None if column.names is None else list(column.names)
             found[key] = {"dtype": column.dtype, "shape": [column.size], "names": names}
         return found
@@ -219,7 +236,7 @@ class LeRobotLayout:
         import pyarrow as pa
 
         images = [*self.depth, *(() if self.codec else self.cameras)]
-        columns = {**self.columns, **INDEX_COLUMNS}
+        columns = {**self.columns, **self.index_columns}
         fields = [*((key, image_type()) for key in images), *((key, column.arrow) for key, column in columns.items())]
         types = {key: {"_type": "Image"} for key in images} | {
             key: self._dataset_type(column) for key, column in columns.items()

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_datasets.lerobot.layout import INDEX_COLUMNS, LeRobotLayout, image_type
+from roboxim_datasets.lerobot.layout import LeRobotLayout, image_type
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -153,6 +153,6 @@ def complete_table(layout: LeRobotLayout, piece: Piece, indices: Mapping[str, Ar
     import pyarrow as pa
 
     schema = layout.schema()
-    own = {key: _arrow(values, INDEX_COLUMNS[key].arrow) for key, values in indices.items()}
+    own = {key: _arrow(values, layout.index_columns[key].arrow) for key, values in indices.items()}
     arrays = [own[name] if name in own else piece.table.column(name).combine_chunks() for name in schema.names]
     return pa.Table.from_arrays(arrays, schema=schema)

@@ -33,6 +33,9 @@ from roboxim_datasets.lerobot.layout import (
     ROBOXIM_EPISODES_FILE,
     ROBOXIM_FILE,
     STATS_FILE,
+    SUBTASK_INDEX,
+    SUBTASKS,
+    TASKS,
     LeRobotNames,
 )
 from roboxim_datasets.lerobot.tables import Place, Rows, damaged
@@ -130,7 +133,8 @@ class LeRobotDataset(Dataset):
             self._table = tables.episodes_30(self.path, self.info, videos, float(self._fps))
         else:
             self._table = tables.episodes_21(self.path, self.info, videos)
-        self._tasks = tables.tasks(self.path, self.version)
+        self._tasks = tables.texts_of(self.path, TASKS, self.version)
+        self._subtasks = tables.texts_of(self.path, SUBTASKS, self.version) if SUBTASK_INDEX in self._features else {}
         self._places, self._lost_splits = self._split()
         if not self._table.places:
             raise damaged(f"{self.path} has no episode with steps in its table of episodes (meta/episodes)")
@@ -180,7 +184,7 @@ class LeRobotDataset(Dataset):
         if not action:
             raise RecorderError(f"{self.path} has no column of actions; expected {' or '.join(_ACTIONS)}")
         for key, feature in self._features.items():
-            if key in self._unread or key in INDEX_COLUMNS:
+            if key in self._unread or key in INDEX_COLUMNS or (key == SUBTASK_INDEX and self._subtasks):
                 continue
             kind = feature["dtype"]
             if kind not in ("image", "video") and kind != "string" and key not in columns:
@@ -313,6 +317,7 @@ class LeRobotDataset(Dataset):
                 action=self._names(content.names.action),
                 vectors={vector: self._names(key) for key, vector in content.vectors.items()},
                 signals={signal: self._names(key) for key, signal in content.signals.items()},
+                subtasks=bool(self._subtasks),
             ),
             fps=float(self._fps),
             robot=str(self.info.get("robot_type") or ""),
@@ -343,6 +348,7 @@ class LeRobotDataset(Dataset):
                 length=place.length,
                 instruction=texts[0],
                 instructions=tuple(dict.fromkeys(texts)),
+                subtasks=tuple(dict.fromkeys(filter(None, self._subtasks_of(place)))),
                 success=said.get("success") if said else self._succeeded(place),
                 metadata=said,
                 read=lambda wanted: self._steps(place, wanted),
@@ -377,6 +383,13 @@ class LeRobotDataset(Dataset):
             raise damaged(f"{self._where(place)}: task_index is {missing} in a step, which meta/tasks does not have")
         return [place.tasks[0] if place.tasks else ""] * place.length
 
+    def _subtasks_of(self, place: Place) -> list[str | None]:
+        """Return the subtask of each step; None: the step has none."""
+        index = self._rows_of(place.data_file)
+        if not self._subtasks or index.subtask is None:
+            return [None] * place.length
+        return [self._subtasks.get(number) for number in index.subtask[index.of(place)].tolist()]
+
     # -- steps
 
     def _steps(self, place: Place, wanted: Wanted) -> Iterator[Step]:
@@ -395,7 +408,7 @@ class LeRobotDataset(Dataset):
         numbers = {key: floats(table, key, math.prod(self._shape(key)), where) for key in columns}
         videos = {camera: self._frames(place, key) for camera, key in keys.items() if camera not in stored}
         texts = self._texts(place)
-        several = len(set(texts)) > 1
+        several, subtasks = len(set(texts)) > 1, self._subtasks_of(place)
         for step in range(place.length):
             read = {key: self._image_bytes(cells(table, key, step, where)) for key in encoded}
             images: dict[str, RGBImage] = {camera: next(frames) for camera, frames in videos.items()}
@@ -413,6 +426,7 @@ class LeRobotDataset(Dataset):
                 signals={name: numbers[key][step] for key, name in content.signals.items() if key != EXECUTED},
                 reward=float(numbers[content.names.reward][step, 0]) if content.names.reward in numbers else 0.0,
                 instruction=texts[step] if several else None,
+                subtask=subtasks[step],
                 stamp_s=float(numbers[_TIMESTAMP][step, 0]) if _TIMESTAMP in numbers else None,
             )
         for frames in videos.values():  # ends the decoding; a broken file says so
@@ -473,6 +487,7 @@ class LeRobotDataset(Dataset):
         content = self.content
         own = bool(self._said)
         read = {*self._number_columns(), *content.cameras, *content.depth, *content.segmentation, "next.success"}
+        read |= {SUBTASK_INDEX} if self._subtasks else set()
         taken: set[int] = set()
         steps = sum(place.length for place in self._table.places.values())
         lengths: dict[str, int] = {}

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from roboxim_datasets.lerobot.layout import INDEX_COLUMNS, LeRobotLayout
+from roboxim_datasets.lerobot.layout import LeRobotLayout
 from roboxim_datasets.lerobot.pieces import SAMPLE, Array, Piece
 from roboxim_datasets.statistics import ImageStatistics, Summary, VectorStatistics, summary_of
 
@@ -21,7 +21,7 @@ def episode_stats(layout: LeRobotLayout, piece: Piece, indices: Mapping[str, Arr
     Args:
         layout: Layout of the dataset.
         piece: The episode.
-        indices: Its values of `INDEX_COLUMNS`.
+        indices: Its values of `LeRobotLayout.index_columns`.
     """
     found: Stats = {}
     for key in layout.cameras:
@@ -47,7 +47,7 @@ class DatasetStatistics:
         self._images = {key: ImageStatistics() for key in layout.cameras}
         self._depth = {key: VectorStatistics(1) for key in layout.depth}
         self._depth_images = 0
-        columns = {**layout.columns, **INDEX_COLUMNS}
+        columns = {**layout.columns, **layout.index_columns}
         self._columns = {
             key: VectorStatistics(column.size, "int64" if column.dtype in ("int64", "bool") else column.dtype)
             for key, column in columns.items()

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, printable
 from roboxim_core.plain_data.documents import read_json_object, read_text
 from roboxim_datasets.files import file_in, files_below, has_file, reading
-from roboxim_datasets.lerobot.layout import TASKS_FILE
+from roboxim_datasets.lerobot.layout import SUBTASK_INDEX, table_of_texts
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Ints = npt.NDArray[np.int64]
 _TEXT_MOST = 2**28
 _WORD = re.compile(r"\{(\w+)(?::0?(\d{1,2})d)?\}")
-INDICES = ("episode_index", "frame_index", "task_index")
+INDICES = ("episode_index", "frame_index", "task_index", SUBTASK_INDEX)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +59,8 @@ class Rows:
     """Number of each row in its episode; None: the file does not say."""
     task: Ints | None
     """Number of each row's instruction; None: the file does not say."""
+    subtask: Ints | None
+    """Number of each row's subtask; None: the file does not say."""
     count: int
     """Number of rows."""
 
@@ -228,30 +230,34 @@ def episodes_21(folder: Path, info: Mapping[str, Any], videos: Sequence[str]) ->
     return found
 
 
-def tasks(folder: Path, version: str) -> dict[int, str]:
-    """Return ``task_index`` to the instruction; empty: the dataset has no such table.
+def texts_of(folder: Path, names: tuple[str, str], version: str) -> dict[int, str]:
+    """Return ``task_index`` to the instruction, or ``subtask_index`` to the subtask.
+
+    Args:
+        folder: The dataset.
+        names: `TASKS` or `SUBTASKS`.
+        version: Version of the format.
+
+    Returns:
+        Empty: the dataset has no such table.
 
     Raises:
         RecorderError: With code ``BAG_DAMAGED``, naming the file.
     """
     import pyarrow.parquet as pq
 
+    text, index, file = names[0], f"{names[0]}_index", table_of_texts(names, version)
+    if not has_file(folder, file):
+        return {}
     if version == "3.0":
-        if not has_file(folder, TASKS_FILE):
-            return {}
-        with reading(folder / TASKS_FILE):
-            table = pq.read_table(file_in(folder, TASKS_FILE))
-            texts = next(
-                name for name in ("task", *table.column_names) if name in table.column_names and name != "task_index"
-            )
-            numbers = table.column("task_index").to_pylist()
+        with reading(folder / file):
+            table = pq.read_table(file_in(folder, file))
+            texts = next(name for name in (text, *table.column_names) if name in table.column_names and name != index)
+            numbers = table.column(index).to_pylist()
             return {
                 int(number): str(text) for number, text in zip(numbers, table.column(texts).to_pylist(), strict=True)
             }
-    name = "meta/tasks.jsonl"
-    if not has_file(folder, name):
-        return {}
-    return {_count(row, "task_index", name): str(row.get("task", "")) for row in json_lines(folder, name)}
+    return {_count(row, index, file): str(row.get(text, "")) for row in json_lines(folder, file)}
 
 
 def rows_of(folder: Path, name: str) -> Rows:
@@ -267,8 +273,9 @@ def rows_of(folder: Path, name: str) -> Rows:
         have = [key for key in INDICES if key in file.schema_arrow.names]
         table = file.read(columns=have)
         found = {key: _whole_numbers(table.column(key)) for key in have}
-        episode, frame, task = (found.get(key) for key in INDICES)
-        return Rows(file=name, episode=episode, frame=frame, task=task, count=int(file.metadata.num_rows))
+        episode, frame, task, subtask = (found.get(key) for key in INDICES)
+        count = int(file.metadata.num_rows)
+        return Rows(file=name, episode=episode, frame=frame, task=task, subtask=subtask, count=count)
 
 
 def _whole_numbers(column: pa.ChunkedArray) -> Ints:

@@ -96,6 +96,7 @@ class LeRobotWriter:
             segmentation=list(content.segmentation.values()),
         ):
             collected.add(step)
+            collected.subtasks.append(episode.subtask(step))
         piece = collected.piece(episode)
         piece.write(self._build.piece(split, number, "rows.arrow"))
         facts: dict[str, Any] = {
@@ -103,6 +104,8 @@ class LeRobotWriter:
         }  # fmt: skip
         if episode.instructions:
             facts |= {"instructions": list(episode.instructions), "spoken": collected.spoken}
+        if self.layout.subtasks:
+            facts |= {"subtasks": collected.subtasks}
         self._under_way.append((facts, {key: video.close() for key, video in videos.items()}))
         self._settle(_UNDER_WAY)
 
@@ -163,6 +166,8 @@ class _Collected:
         self._encoded: dict[str, list[bytes]] = {key: [] for key in (*layout.depth, *layout.cameras)}
         self.spoken: list[str | None] = []
         """Instruction of each step; None: the episode's."""
+        self.subtasks: list[str] = []
+        """Subtask of each step."""
         self._samples: dict[str, list[Array]] = {key: [] for key in layout.depth}
         self._statistics = {key: ImageStatistics() for key in layout.cameras}
 

@@ -15,7 +15,7 @@ from roboxim_datasets.dataset import SPLITS, Dataset, Description, Features
 from roboxim_datasets.episode import METADATA, OWN_FIELDS, SIGNAL_PREFIX, Episode, MetaValue
 from roboxim_datasets.registry import FORMATS
 from roboxim_datasets.rlds.episodes import EncodedSteps, read_steps, to_rlds
-from roboxim_datasets.rlds.format import META_NAMES, RldsFeatures, encode_episode
+from roboxim_datasets.rlds.format import META_NAMES, SUBTASK, RldsFeatures, encode_episode
 from roboxim_datasets.rlds.loader_files import loader_files, statistics_of
 from roboxim_datasets.rlds.reader import RldsDataset, find_rlds
 from roboxim_datasets.rlds.writer import RldsWriter
@@ -161,6 +161,7 @@ class RldsFormat:
             vectors={name: len(names) for name, names in found.vectors.items()},
             signals={name.removeprefix(SIGNAL_PREFIX): len(names) for name, names in found.signals.items()},
             action={"steps/action": len(found.action)},
+            subtask=SUBTASK if found.subtasks else "",
         )
         writer = RldsWriter(
             target,

@@ -94,6 +94,7 @@ def to_rlds(read: EncodedSteps, described: Features, features: RldsFeatures) -> 
         action=np.stack([step.action for step in steps]),
         instruction=episode.instruction,
         instructions=tuple(step.instruction or episode.instruction for step in steps) if episode.instructions else (),
+        subtasks=tuple(map(episode.subtask, steps)) if features.subtask else (),
         reward=np.array([step.reward for step in steps], np.float32),
         metadata={key: value for key, value in {**episode.metadata, **own}.items() if key in features.metadata},
     )
@@ -129,6 +130,7 @@ def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:
                 signals={SIGNAL_PREFIX + name: episode.signals[name][index] for name in others},
                 reward=float(episode.reward[index]),
                 instruction=episode.instructions[index] if episode.instructions else None,
+                subtask=episode.subtasks[index] if episode.subtasks else None,
             )
 
     semantics = semantics_of(episode)
@@ -140,6 +142,7 @@ def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:
         semantics=semantics,
         cameras={camera: ImageSize(height=height, width=width) for camera, (height, width) in sizes.items()},
         instructions=tuple(dict.fromkeys(episode.instructions)),
+        subtasks=tuple(dict.fromkeys(episode.subtasks)),
         success=_success(episode),
         robot=str(metadata.get("robot", "")),
         joint_names=tuple(_parsed(metadata, "joint_names", [])),

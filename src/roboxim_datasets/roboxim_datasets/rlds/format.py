@@ -19,6 +19,8 @@ from roboxim_datasets.pictures import MOST_COMPONENTS, MOST_PIXELS, colour_pictu
 from roboxim_datasets.rlds.tfrecord import Feature, decode_example, encode_example
 
 Array = npt.NDArray[np.float32]
+SUBTASK = "steps/language_subtask"
+"""Path of the text that says what is to be done at a step of a longer task."""
 META_TYPES = {"text": str, "int64": int, "bool": bool, "float32": float}
 META_NAMES: dict[type, str] = {kind: name for name, kind in META_TYPES.items()}
 _CLASS = "tensorflow_datasets.core.features."
@@ -42,6 +44,8 @@ class RldsFeatures:
     """Path of the action to its size; several paths are concatenated."""
     instruction: str = "steps/language_instruction"
     """Path of the instruction; empty: there is none."""
+    subtask: str = ""
+    """Path of the words of the step at hand; empty: the steps state none."""
     reward: str = "steps/reward"
     """Path of the reward; empty: there is none."""
 
@@ -81,6 +85,8 @@ class RldsEpisode:
     """Natural language instruction; the first step's, if the steps have several."""
     instructions: tuple[str, ...] = ()
     """Instruction of each of the T steps, if they have several."""
+    subtasks: tuple[str, ...] = ()
+    """Subtask of each of the T steps; empty: they state none."""
     reward: Array
     """float32, shape (T,)."""
     signals: Mapping[str, Array] = field(default_factory=dict)
@@ -140,6 +146,8 @@ def encode_episode(episode: RldsEpisode, features: RldsFeatures) -> bytes:
         "steps/is_terminal": flags[1],
         "steps/language_instruction": [text.encode() for text in episode.instructions or [episode.instruction] * count],
     }
+    if features.subtask:
+        example[features.subtask] = [text.encode() for text in episode.subtasks]
     for name, values in episode.vectors.items():
         example[f"steps/observation/{name}"] = values
     for name, values in episode.signals.items():
@@ -220,6 +228,8 @@ def features_to_json(features: RldsFeatures, names: Mapping[str, tuple[str, ...]
         "is_last": _tensor("bool", (), "last step"),
         "is_terminal": _tensor("bool", (), "last step"),
     }
+    if features.subtask:
+        steps[features.subtask.removeprefix("steps/")] = _text("what is to be done at this step of a longer task")
     if features.signals:
         steps["sim"] = _group({name: vector(name, size) for name, size in features.signals.items()})
     metadata = {
@@ -270,6 +280,7 @@ def features_from_json(data: dict[str, Any]) -> RldsFeatures:
         signals=signals,
         action=action,
         instruction=_instruction(leaves),
+        subtask=SUBTASK if SUBTASK in leaves and _is_text(leaves[SUBTASK]) else "",
         reward="steps/reward" if _vector_size(leaves.get("steps/reward", {})) else "",
     )
 
@@ -350,7 +361,7 @@ def _instruction(leaves: Mapping[str, dict[str, Any]]) -> str:
 def paths_of(features: RldsFeatures) -> list[str]:
     """Return the paths of all features that are read."""
     return [
-        *features.action, *filter(None, (features.instruction, features.reward)),
+        *features.action, *filter(None, (features.instruction, features.subtask, features.reward)),
         *(f"episode_metadata/{key}" for key in features.metadata),
         *(f"steps/observation/{name}" for name in (*features.images, *features.vectors)),
         *(f"steps/sim/{name}" for name in features.signals),
@@ -390,6 +401,7 @@ def decode_episode(payload: bytes, features: RldsFeatures) -> RldsEpisode:
         action=action,
         instruction=texts[0] if texts else "",
         instructions=tuple(texts) if len(set(texts)) > 1 else (),
+        subtasks=tuple(_texts(example.get(features.subtask, ()), len(action))),
         reward=reward,
         metadata=metadata,
     )

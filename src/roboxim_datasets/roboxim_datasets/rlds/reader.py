@@ -246,6 +246,7 @@ class RldsDataset(Dataset):
                 action=names.action,
                 vectors=names.vectors,
                 signals=names.signals,
+                subtasks=bool(features.subtask),
             ),
             fps=episode.fps,
             robot=BETWEEN_ROBOTS.join(self.facts.get("robots", ())) or episode.robot,

@@ -115,7 +115,7 @@ def truth(steps: int = STEPS, **changes: Any) -> Truth:
     return replace(
         Truth(
             solved=(False,) * steps + (True,),
-            approach=Approach(distance_m=tuple(np.linspace(0.4, 0.0, 30).tolist()), path_m=0.42, closings=1),
+            approaches=(Approach(distance_m=tuple(np.linspace(0.4, 0.0, 30).tolist()), path_m=0.42, closings=1),),
             meaning=Meaning(ever=True),
             sightings=(),
             pairs=(),

@@ -103,7 +103,7 @@ def test_a_second_after_the_task_is_done_is_too_much_in_a_long_episode() -> None
 
 def approach(**changes: Any) -> Approach:
     """Return a clean approach with changes."""
-    clean = audited.truth().approach
+    (clean,) = audited.truth().approaches
     assert clean is not None
     return replace(clean, **changes)
 
@@ -118,11 +118,11 @@ def approach(**changes: Any) -> Approach:
     ],
 )
 def test_misses_and_corrections(changes: dict[str, Any]) -> None:
-    assert found("inaccurate_control", with_truth(approach=approach(**changes))) == ("e0",)
+    assert found("inaccurate_control", with_truth(approaches=(approach(**changes),))) == ("e0",)
 
 
 def test_a_detour_far_from_the_object_is_no_miss() -> None:
-    assert not found("inaccurate_control", with_truth(approach=approach(distance_m=(0.4, 0.2, 0.3, 0.1, 0.0))))
+    assert not found("inaccurate_control", with_truth(approaches=(approach(distance_m=(0.4, 0.2, 0.3, 0.1, 0.0)),)))
 
 
 def sighting(**changes: Any) -> Sighting:

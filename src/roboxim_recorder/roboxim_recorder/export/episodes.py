@@ -37,6 +37,7 @@ def bag_episode(source: Source, joint_names: tuple[str, ...]) -> Episode:
         joint_names: Arm joints of its robot, in the order of their positions.
     """
     info = source.info
+    words = info.task.step_words
 
     def read(wanted: Wanted) -> Iterator[Step]:
         for index, (observed, following) in enumerate(_actions_of(source, wanted)):
@@ -50,6 +51,7 @@ def bag_episode(source: Source, joint_names: tuple[str, ...]) -> Episode:
                 action=_snapped(np.array(following.step.action_label), info.semantics).astype(np.float32),
                 action_executed=np.array(following.step.action_executed, np.float32),
                 reward=float(_solved(source) and index == source.result.steps - 1),
+                subtask=_at_hand(words, observed),
                 stamp_s=observed.stamp_ns / 1e9,
             )
 
@@ -57,6 +59,7 @@ def bag_episode(source: Source, joint_names: tuple[str, ...]) -> Episode:
         episode_id=info.episode_id,
         length=source.result.steps,
         instruction=info.task.instruction,
+        subtasks=words,
         semantics=info.semantics,
         cameras={c.name: ImageSize(height=c.height, width=c.width) for c in info.scene.cameras},
         success=_solved(source),
@@ -83,6 +86,7 @@ def exported_episode(source: Source, content: Content) -> Episode:
     """
     length = -(-source.result.steps // content.every)
     description = content.describe((source,))
+    words = tuple(map(content.instruction, source.info.task.step_words))
 
     def read(wanted: Wanted) -> Iterator[Step]:
         converted = _converted(source, content) if content.converts else None
@@ -105,12 +109,14 @@ def exported_episode(source: Source, content: Content) -> Episode:
                 action=label,
                 action_executed=executed,
                 reward=float(_solved(source) and at == length - 1),
+                subtask=_at_hand(words, observed),
             )
 
     return Episode(
         episode_id=source.info.episode_id,
         length=length,
         instruction=content.instruction(source.info.task.instruction),
+        subtasks=words,
         semantics=content.semantics,
         cameras=content.sizes,
         success=_solved(source),
@@ -123,6 +129,12 @@ def exported_episode(source: Source, content: Content) -> Episode:
         metadata=_metadata(source),
         read=read,
     )
+
+
+def _at_hand(words: Sequence[str], tick: BagTick) -> str | None:
+    """Return the words of the step at hand at a tick; None: its task has one step."""
+    number = tick.step.verdict.step
+    return words[number - 1] if 0 < number <= len(words) else None
 
 
 def _solved(source: Source) -> bool:

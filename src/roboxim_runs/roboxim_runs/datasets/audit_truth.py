@@ -30,7 +30,7 @@ from roboxim_datasets.audit.color import palette_difference
 from roboxim_datasets.episode import Episode
 from roboxim_recorder.bag import BagReader, BagTick
 from roboxim_tasks.judging import Judge
-from roboxim_tasks.meaning import asks_for_same, read_instruction
+from roboxim_tasks.meaning import Reading, asks_for_same, read_instruction
 from roboxim_tasks.roles import description, task_objects
 from roboxim_tasks.sampling.visible import SIZE_PX, SegmentationPort, Visibility
 
@@ -117,7 +117,7 @@ class BagTruth:
         touch = self._first_touch
         return Truth(
             solved=tuple(verdict.success for verdict in self._verdicts(self.info.task)),
-            approach=self._approach(),
+            approaches=tuple(self._approaches()),
             meaning=self._meaning(),
             first_touch=touch,
             sightings=self._sightings(touch),
@@ -136,6 +136,8 @@ class BagTruth:
     def _meaning(self) -> Meaning | None:
         recorded, library = self.info.task, self._ports.library
         found = read_instruction(self._instruction, self.info.scene, library, self._templates)
+        if recorded.step_words and self._instruction.lower() == recorded.instruction.lower():
+            found = Reading(understood=True, tasks=(recorded,))  # its sentence may be one of its own, of all objects
         if not found.understood:
             return None
         tasks = [recorded if asks_for_same(task, recorded) else task for task in found.tasks]
@@ -183,16 +185,27 @@ class BagTruth:
         contacts = self._acting[tick].state.contacts
         return {body for c in contacts if ROBOT in (c.body_a, c.body_b) for body in (c.body_a, c.body_b)} - {ROBOT}
 
-    def _approach(self) -> Approach | None:
-        """Describe the way to the longest touch: a miss that brushes the object touches it for less long."""
-        touching = self._touching
-        if not touching.any():
-            return None
-        edges = np.flatnonzero(np.diff(np.r_[0, touching.astype(int), 0]))
+    def _approaches(self) -> Iterator[Approach]:
+        """Describe, for each step of the task, the way to its longest touch: a miss touches the object for less long.
+
+        A step begins when the hand has let go of what the step before was about.
+        """
+        numbers = np.array([tick.step.verdict.step for tick in self._acting])
+        for number in dict.fromkeys(numbers.tolist()):
+            here = np.flatnonzero(numbers == number)
+            begin, end = int(here[0]), int(here[-1]) + 1
+            free = np.flatnonzero(~self._touching[begin:end])
+            begin += int(free[0]) if len(free) else 0
+            if self._touching[begin:end].any():
+                yield self._approach(begin, end)
+
+    def _approach(self, begin: int, end: int) -> Approach:
+        edges = np.flatnonzero(np.diff(np.r_[0, self._touching[begin:end].astype(int), 0]))
         start, _ = max(zip(edges[::2], edges[1::2], strict=True), key=lambda run: run[1] - run[0])
-        tcp = np.array([t.state.robot.pose_tcp_measured.position for t in self._acting[: start + 1]])
-        command = np.array([t.state.robot.gripper_command for t in self._acting])
+        tcp = np.array([t.state.robot.pose_tcp_measured.position for t in self._acting[begin : begin + start + 1]])
+        command = np.array([t.state.robot.gripper_command for t in self._acting[begin:end]])
         return Approach(
+            begin=begin,
             distance_m=tuple(np.linalg.norm(tcp - tcp[-1], axis=1).tolist()),
             path_m=float(np.linalg.norm(np.diff(tcp, axis=0), axis=1).sum()),
             closings=int(((command[1:] < 0.5) & (command[:-1] >= 0.5)).sum()),

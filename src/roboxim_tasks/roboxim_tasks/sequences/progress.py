@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
+from roboxim_core.verdicts import STEP, STEPS_DONE, STEPS_SHARE
 from roboxim_tasks.measures import Assessment, Conditions, Evaluator, Measure, fallen_off, lift
 from roboxim_tasks.sequences.steps import ORDER, own_objects, steps_of, superseded
 from roboxim_tasks.skills.base import SKILLS
@@ -92,9 +93,9 @@ class Progress:
         counted = sum(step.done and step.holds for step in self._steps)
         predicates |= {f"step_{n}_done": float(s.done and s.holds) for n, s in enumerate(self._steps, start=1)}
         predicates |= {
-            "step": float(self.current + 1),
-            "steps_done": float(counted),
-            "steps_share": counted / len(self._steps),
+            STEP: float(self.current + 1),
+            STEPS_DONE: float(counted),
+            STEPS_SHARE: counted / len(self._steps),
         }
         solved = counted == len(self._steps) and not failed
         return Assessment(

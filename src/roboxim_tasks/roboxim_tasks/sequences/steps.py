@@ -7,15 +7,20 @@ A task of several steps is a plain `TaskSpec`: its ``arguments`` hold ``order`` 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 
 from roboxim_core.errors import ErrorCode, TaskError
-from roboxim_core.specs import Scalar, TaskSpec
+from roboxim_core.specs import PhysicalObject, Scalar, TaskSpec
 from roboxim_tasks.roles import STAY, task_distractors
 
 JOINED = "+"
 """Joins the skills of a sequence in its name, e.g. ``put_into+close_drawer``."""
+BETWEEN = re.compile(r",? and then |, then | then ", re.IGNORECASE)
+"""What stands between the sentences of steps in the templates of a sequence."""
+FIRST = re.compile(r"first ", re.IGNORECASE)
+"""What may stand before them."""
 MAX_STEPS = 5
 ORDERS = ("fixed", "any")
 ORDER = "order"
@@ -51,6 +56,33 @@ def arguments_of(steps: Iterable[tuple[TaskSpec, Mapping[str, str]]], order: str
         arguments |= {f"step_{number}.{name}": value for name, value in (named | step.arguments).items()}
     joints = [step.arguments["joint"] for step, _ in steps if step.arguments.get("joint")]
     return arguments | ({"joint": joints[0]} if joints else {})
+
+
+def sentences_of(text: str) -> list[str]:
+    """Return the sentences of the steps that a text joins as the templates of a sequence do; one if it joins none."""
+    return BETWEEN.split(FIRST.sub("", text.strip(), count=1) if FIRST.match(text.strip()) else text.strip())
+
+
+def task_of(steps: Iterable[TaskSpec], instruction: str, order: str = "fixed") -> TaskSpec:
+    """Return the task that some tasks of one skill make, one after another.
+
+    Args:
+        steps: The tasks, about objects of one scene.
+        instruction: The whole sentence.
+        order: ``fixed`` or ``any``.
+    """
+    steps = tuple(steps)
+    things: dict[str, PhysicalObject] = {}
+    pairs = []
+    for number, step in enumerate(steps, start=1):
+        roles = {}
+        for own, thing in step.objects.items():
+            named = next((role for role, other in things.items() if other.entity == thing.entity), "")
+            roles[own] = named or (own if own not in things else f"{own}_{number}")
+            things.setdefault(roles[own], thing)
+        pairs.append((step, roles))
+    name = joined(step.skill for step in steps)
+    return TaskSpec(skill=name, objects=things, arguments=arguments_of(pairs, order), instruction=instruction)
 
 
 @lru_cache(maxsize=256)

@@ -8,7 +8,7 @@ import numpy as np
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
-from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Flags
+from roboxim_datasets.audit.values import Approach, AuditEpisode, CannotCheckError, Finding, Flags
 from roboxim_datasets.episode import Floats
 
 NEAR_M = 0.05
@@ -31,30 +31,35 @@ class InaccurateControl(AuditCheck):
     title = "Inaccurate control: the hand misses and corrects"
     reason = "Near the object the arm moves towards it and away from it for the same instruction; a policy learns both."
     threshold = (
-        f"the gripper closes more than once; or the hand comes within {100 * NEAR_M:g} cm of where it finally touches "
-        f"the object and retreats by more than {100 * RETREAT_M:g} cm; or its path there is more than {DETOUR:g} times "
-        "the shortest"
+        "in a step of the task the gripper closes more than once; or the hand comes within "
+        f"{100 * NEAR_M:g} cm of where it finally touches the object and retreats by more than {100 * RETREAT_M:g} cm; "
+        f"or its path there is more than {DETOUR:g} times the shortest"
     )
     needs = "ground truth: the recorded contacts and poses"
     order = 2
 
     def look(self, episode: AuditEpisode) -> Iterator[Finding]:
         """Find corrections."""
-        approach = episode.require_truth().approach
-        if approach is None:
+        approaches = episode.require_truth().approaches
+        if not approaches:
             raise CannotCheckError("the robot touches no object of the task")
+        for approach in approaches:
+            yield from self._look(episode, approach)
+
+    def _look(self, episode: AuditEpisode, approach: Approach) -> Iterator[Finding]:
         distance = np.array(approach.distance_m)
         nearest = np.minimum.accumulate(distance)
         retreat = np.where(nearest < NEAR_M, distance - nearest, 0.0)
         worst = int(retreat.argmax())
-        problems, ticks = [], [0, len(distance) - 1]
+        problems, ticks = [], [approach.begin, approach.begin + len(distance) - 1]
         if approach.recovered:
             problems.append("the actor says that it needed another attempt")
         if approach.closings > 1:
             problems.append(f"the gripper closes {approach.closings} times")
         if retreat[worst] > RETREAT_M:
-            problems.append(f"at tick {worst} the hand has retreated by {100 * retreat[worst]:.1f} cm")
-            ticks = [int(distance[: worst + 1].argmin()), worst, len(distance) - 1]
+            problems.append(f"at tick {approach.begin + worst} the hand has retreated by {100 * retreat[worst]:.1f} cm")
+            places = (int(distance[: worst + 1].argmin()), worst, len(distance) - 1)
+            ticks = [approach.begin + place for place in places]
         if distance[0] > SHORT_M and approach.path_m > DETOUR * distance[0]:
             problems.append(f"its path is {approach.path_m / distance[0]:.1f} times the shortest")
         if problems:
