@@ -10,6 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import resource
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from statistics import median
 
@@ -50,7 +51,7 @@ def _step(keeps: bool, steps: int) -> tuple[float, float, float, float]:
     if keeps and not keep_freed_memory():
         raise SystemExit("this C library is not glibc: it has no settings to compare")
     with tempfile.TemporaryDirectory(prefix="roboxim-training-") as folder:
-        trainer = Trainer(_demonstrations(), BCConfig(steps=1000, checkpoint_every=1000), Path(folder))
+        trainer = Trainer(demonstrations(), BCConfig(steps=1000, checkpoint_every=1000), Path(folder))
         trainer.run(until=WARM)
         before = resource.getrusage(resource.RUSAGE_SELF)
         trainer.run(until=WARM + steps)
@@ -61,10 +62,19 @@ def _step(keeps: bool, steps: int) -> tuple[float, float, float, float]:
     )  # fmt: skip
 
 
-def _demonstrations(episodes: int = 20, length: int = 40) -> Demonstrations:
-    """Return demonstrations with random images that close the gripper halfway."""
+SIDES = {"workspace": 96, "wrist": 64}
+"""Sides of bc's images [px]."""
+
+
+def demonstrations(episodes: int = 20, length: int = 40, sides: Mapping[str, int] = SIDES) -> Demonstrations:
+    """Return demonstrations with random images that close the gripper halfway.
+
+    Args:
+        episodes: Their number.
+        length: Steps of each.
+        sides: Camera to the side of its images [px].
+    """
     rng = np.random.default_rng(0)
-    sides = {"workspace": 96, "wrist": 64}
     actions = rng.normal(scale=0.01, size=(length, 7)).astype(np.float32)
     actions[:, 6] = np.arange(length) < length // 2
     places = np.cumsum(actions[:, :3], axis=0).tolist()

@@ -21,7 +21,9 @@ DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROF
 FOLDERS = ("commands", "ros")
 """Folders with a file for each subcommand, at any depth."""
 SECTIONS = {
-    "The main job": ("demo", "tasks", "generate", "merge", "export", "dataset", "train", "evaluate", "report"),
+    "The main job": (
+        "demo", "tasks", "generate", "merge", "export", "dataset", "pretrain", "train", "evaluate", "sweep", "report",
+    ),
     "Experiments": ("experiment", "benchmark", "audit-benchmark"),
     "Why a policy fails": ("explain", "compare-policies", "mine"),
     "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor", "upgrade-check"),

@@ -1,0 +1,124 @@
+"""Chooses the best of many checkpoints by successive halving, and measures it in scenes that did not choose it.
+
+Scenes of the choice and fresh ones are two evaluations with different seeds, in two folders. Each continues what its
+folder holds, so that the same call continues an interrupted sweep.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.whole_files import write_whole
+from roboxim_policies.learning.checkpoint_file import checkpoint_file, family_in, read_description
+from roboxim_runs.evaluation.results import EvaluationResult
+from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
+from roboxim_runs.events import Notice, OnEvent, ignore
+from roboxim_runs.executors import Cancellation, Executor
+from roboxim_runs.policies.specs import CHECKPOINT, PolicySpec
+
+if TYPE_CHECKING:
+    from roboxim_eval.answers.halving import Choice, HalvingConfig
+    from roboxim_eval.statistics.rates import SuccessRate
+
+RESULT = "sweep.json"
+"""File with the rounds, the winner and its rate."""
+SEED_STEP = 1_000_003
+"""What is added to the seed for fresh scenes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepResult:
+    """Result of a sweep."""
+
+    choice: Choice
+    """The rounds."""
+    winner: PolicySpec
+    """The chosen policy."""
+    fresh: SuccessRate
+    """Its rate in scenes that did not choose it."""
+    evaluation: EvaluationResult
+    """These scenes."""
+
+
+def checkpoint_policies(checkpoints: Sequence[Path]) -> list[PolicySpec]:
+    """Return the policies of checkpoints, named by their folders or files.
+
+    Args:
+        checkpoints: Files, or folders of trainings, of any family.
+
+    Raises:
+        ConfigError: When one is missing or damaged.
+    """
+    policies = []
+    for path in checkpoints:
+        family = family_in(read_description(path))
+        file = checkpoint_file(path)
+        name = file.parent.name if file.name == "checkpoint.npz" else file.stem
+        policies.append(PolicySpec(spec=family, name=name, options={CHECKPOINT: str(path)}))
+    several = {name for name, count in Counter(policy.name for policy in policies).items() if count > 1}
+    return [
+        replace(policy, name=f"{policy.name}-{number}") if policy.name in several else policy
+        for number, policy in enumerate(policies, start=1)
+    ]
+
+
+def sweep(
+    policies: Sequence[PolicySpec],
+    config: EvaluationConfig,
+    halving: HalvingConfig,
+    *,
+    on_event: OnEvent = ignore,
+    cancellation: Cancellation | None = None,
+    executor: Executor | None = None,
+) -> SweepResult:
+    """Choose the best of several policies, and measure it in fresh scenes.
+
+    Args:
+        policies: The policies, each with a name of its own.
+        config: The scenes; its policies and number of episodes are not used.
+        halving: Number of scenes.
+        on_event: Receives the events of all evaluations.
+        cancellation: Ends the call when it is set; the same call continues.
+        executor: Runs the episodes; none: processes of this machine.
+
+    Raises:
+        CancelledError: When the call was cancelled.
+        ConfigError: When there are not two policies of different names, or only a shard is to be run.
+        RoboximError: As of `evaluate`.
+    """
+    from roboxim_eval.answers.halving import choose
+
+    if config.shard:
+        raise ConfigError("a shard has a part of the scenes and cannot choose; run all of them (no --shard)")
+    by_name = {policy.name or policy.spec: policy for policy in policies}
+    if len(by_name) < len(policies):
+        raise ConfigError("two policies of a sweep have one name; name them apart")
+    out = Path(config.out)
+
+    def played(names: Sequence[str], scenes: int, part: str, seed: int) -> EvaluationResult:
+        wanted = replace(
+            config, policies=[by_name[name] for name in names], out=out / part, episodes=scenes, seed=seed, page=False
+        )
+        return evaluate(wanted, on_event=on_event, cancellation=cancellation, executor=executor)
+
+    def play(names: Sequence[str], scenes: int) -> Mapping[str, Sequence[bool]]:
+        on_event(Notice(text=f"{len(names)} policies, {scenes} scenes"))
+        found = played(names, scenes, "choosing", config.seed)
+        return {name: [r.outcome == "success" for r in found[name].results] for name in names}
+
+    choice = choose(list(by_name), play, halving)
+    on_event(Notice(text=f"{choice.winner} is chosen; {halving.fresh} fresh scenes"))
+    evaluation = played([choice.winner], halving.fresh, "fresh", config.seed + SEED_STEP)
+    rate = evaluation[choice.winner].rate
+    told = {"rounds": [asdict(one) for one in choice.rounds], "winner": choice.winner, "fresh": asdict(rate)}
+    write_whole(out / RESULT, json.dumps(told, indent=2) + "\n")
+    return SweepResult(choice=choice, winner=by_name[choice.winner], fresh=rate, evaluation=evaluation)
+
+
+__all__ = ["RESULT", "SweepResult", "checkpoint_policies", "sweep"]

@@ -1,0 +1,73 @@
+"""A sweep plays the same scenes with the better half again, and fresh scenes with the winner alone."""
+
+import json
+
+import pytest
+
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import ConfigError
+from roboxim_eval.answers.halving import HalvingConfig
+from roboxim_runs.evaluation import sweeping
+from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
+from roboxim_runs.evaluation.run import EvaluationConfig
+from roboxim_runs.policies.specs import PolicySpec
+
+SKILL = {"good": 9, "fair": 6, "poor": 2, "bad": 0}
+"""Policy to the scenes, of ten, in which it succeeds."""
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    made = []
+
+    def evaluate(config, **_):
+        names = [policy.name for policy in config.policies]
+        made.append((names, config.episodes, config.seed, config.out.name))
+
+        def result(name):
+            outcomes = ["success" if i % 10 < SKILL[name] else "failure" for i in range(config.episodes)]
+            results = [EpisodeResult(episode_id=f"eval-{i}", index=i, outcome=o) for i, o in enumerate(outcomes)]
+            return PolicyResult(name=name, results=tuple(results), folder=config.out / name)
+
+        policies = {name: result(name) for name in names}
+        return EvaluationResult(policies=policies, report=None, comparison="", privileged=())
+
+    monkeypatch.setattr(sweeping, "evaluate", evaluate)
+    return made
+
+
+def swept(out, names=tuple(SKILL), halving=None, **changes):
+    policies = [PolicySpec(spec="zero", name=name) for name in names]
+    return sweeping.sweep(policies, EvaluationConfig(policies="zero", out=out, **changes), halving or HalvingConfig())
+
+
+def test_the_better_half_plays_on_and_the_winner_in_other_scenes(calls, tmp_path):
+    result = swept(tmp_path, seed=3, halving=HalvingConfig(first=10, fresh=30))
+    assert calls == [
+        (["good", "fair", "poor", "bad"], 10, 3, "choosing"),
+        (["good", "fair"], 20, 3, "choosing"),
+        (["good"], 30, 3 + sweeping.SEED_STEP, "fresh"),
+    ]
+    assert result.winner.name == "good"
+    assert result.fresh.successes == 27
+    told = json.loads((tmp_path / "sweep.json").read_text())
+    assert told["winner"] == "good"
+    assert told["rounds"][0]["successes"] == {"good": 9, "fair": 6, "poor": 2, "bad": 0}
+
+
+def test_a_shard_and_equal_names_are_refused(calls, tmp_path):
+    with pytest.raises(ConfigError, match="a shard has a part of the scenes"):
+        swept(tmp_path, shard="0/2")
+    with pytest.raises(ConfigError, match="two policies of a sweep have one name"):
+        swept(tmp_path, ("good", "good"))
+    assert not calls
+
+
+def test_checkpoints_are_named_by_their_folders_and_apart(monkeypatch):
+    monkeypatch.setattr(sweeping, "read_description", lambda path: {"family": "act"})
+    from pathlib import Path
+
+    paths = [Path("runs/a/checkpoint.npz"), Path("other/a/checkpoint.npz"), Path("runs/broad.npz")]
+    found = sweeping.checkpoint_policies(paths)
+    assert [(policy.spec, policy.name) for policy in found] == [("act", "a-1"), ("act", "a-2"), ("act", "broad")]
+    assert found[0].options == {"checkpoint": "runs/a/checkpoint.npz"}

@@ -1,0 +1,70 @@
+"""A pre-training packs a named checkpoint that says what its demonstrations contained."""
+
+import json
+
+import pytest
+
+from roboxim_core.actions import ActionSemantics
+from roboxim_core.episode import EpisodeInfo
+from roboxim_core.errors import ConfigError
+from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec, TaskSpec
+from roboxim_policies.bc.config import BCConfig
+from roboxim_policies.learning.checkpoint import load_checkpoint
+from roboxim_runs.training.pretraining import PretrainConfig, exposure_of, pretrain
+from roboxim_runs.training.run import read_config, train_policy
+
+
+def info(number, model, skill="pick_up", look="bench"):
+    task = TaskSpec(
+        skill=skill, objects={"target": PhysicalObject(entity="target", model=model, name=model)},
+        instruction=f"Pick up the {model}", drawn={"look": look},
+    )  # fmt: skip
+    scene = SceneSpec(entities=(EntitySpec(name="target", model=model), EntitySpec(name="distractor_1", model="mug")))
+    return EpisodeInfo(
+        episode_id=f"demo-0-{number}-0",
+        run_seed=0,
+        purpose="demo",
+        index=number,
+        attempt=0,
+        task=task,
+        scene=scene,
+        semantics=ActionSemantics(),
+        actor="expert",
+    )
+
+
+def test_the_exposure_is_counted_in_the_episodes():
+    found = exposure_of([info(0, "cube"), info(1, "cube", look="kitchen"), info(2, "apple", skill="rotate")])
+    assert found["episodes"] == 3
+    assert found["skills"] == {"pick_up": 2, "rotate": 1}
+    assert found["objects"] == {"apple": 1, "cube": 2, "mug": 3}  # distractors are seen, too
+    assert found["pairs"] == {"pick_up cube": 2, "rotate apple": 1}
+    assert found["looks"] == {"bench": 2, "kitchen": 1}
+    assert found["instructions"] == 2
+
+
+def test_a_name_is_a_files_name():
+    assert PretrainConfig(learning=BCConfig(), out="runs/broad").checkpoint_name == "broad"
+    with pytest.raises(ConfigError, match="without folders"):
+        _ = PretrainConfig(learning=BCConfig(), name="a/b").checkpoint_name
+
+
+@pytest.mark.slow
+def test_it_is_packed_continued_and_fine_tuned(tmp_path):
+    learning = BCConfig(steps=3, batch=8, image_sizes={"workspace": 32, "wrist": 32})
+    config = PretrainConfig(learning=learning, out=tmp_path / "broad", episodes=2, size=64, workers=1)
+    result = pretrain(config)
+    assert result.checkpoint == tmp_path / "broad" / "broad.npz"
+    packed = load_checkpoint(result.checkpoint)
+    assert packed.original_sha256
+    assert packed.pretraining["name"] == "broad"
+    assert packed.pretraining["exposure"]["episodes"] == 2
+    assert json.loads((tmp_path / "broad" / "exposure.json").read_text()) == packed.pretraining
+    before = result.checkpoint.stat().st_mtime_ns
+    assert pretrain(config).training.steps_now == 0
+    assert result.checkpoint.stat().st_mtime_ns == before
+    settings = read_config("", None, {"steps": 2}, start=result.checkpoint)
+    tuned = train_policy(tmp_path / "broad" / "rlds", tmp_path / "tuned", settings, start=result.checkpoint)
+    assert load_checkpoint(tuned.checkpoint).started_from["pretraining"]["name"] == "broad"
+    with pytest.raises(ConfigError, match="is a checkpoint of 'bc', not of 'act': roboxim train bc"):
+        read_config("act", None, start=result.checkpoint)
