@@ -17,9 +17,7 @@ def parse(text: str, *, source: str) -> Any:
     Raises:
         ConfigError: When the text is not YAML; the message names the line.
     """
-    from roboxim_core.config import (
-        parse_yaml,
-    )  # imports numpy, which most commands do not need
+    from roboxim_core.config import parse_yaml  # imports numpy, which most commands do not need
 
     return plain(parse_yaml(text, source=source))
 

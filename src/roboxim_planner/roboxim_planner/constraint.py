@@ -1,4 +1,4 @@
-"""Path constraints: conditions on the tool that must hold all along a motion."""
+"""Path constraints: conditions on the tool that must hold during a whole motion."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from roboxim_core.poses import Vec3
 
 @dataclass(frozen=True, kw_only=True)
 class Upright:
-    """Path constraint: an axis of the tool stays within an angle of a direction, all along a motion."""
+    """Path constraint: an axis of the tool stays within an angle of a direction during a whole motion."""
 
     tolerance_rad: float
     """Largest angle between the two [rad], in (0, pi]."""

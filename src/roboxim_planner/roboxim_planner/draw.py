@@ -197,7 +197,7 @@ class _Picture:
         self._entries[name] = color
         links = list(robot_triangles(self._planner.robot, q, scene.gripper_opening))
         for triangles, drawn in zip(links, self._first or links, strict=True):
-            if not self._first or np.abs(triangles - drawn).max() > 1e-6:  # a link that has not moved is drawn already
+            if not self._first or np.abs(triangles - drawn).max() > 1e-6:  # a link that has not moved is already drawn
                 self._add(self._base.apply(triangles.reshape(-1, 3)).reshape(-1, 3, 3), color, alpha)
         self._first = self._first or links
         tcp = self._base @ self._planner.robot.fk(q)
@@ -308,7 +308,7 @@ def _hull(points: Array) -> Array:
 
 
 def _fine(triangles: Array, edge: float = 0.12) -> Array:
-    """Split large triangles: they are painted in the order of their distance, which is wrong for long ones."""
+    """Split large triangles, because painting in the order of distance is wrong for long ones."""
     split: Any = trimesh.remesh.subdivide_to_size
     vertices, faces = split(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), max_edge=edge)
     return np.asarray(vertices[faces])

@@ -1,8 +1,8 @@
 """Dumps of failures: files that hold a query and its outcome, and can be run again.
 
-A dump holds all that the answer depends on: the scene with its geometry, the request, its seed, the planner's
-configuration. So running it again gives the same answer. A time-out depends on the wall clock; it is reproduced at the
-same step of the work.
+A dump holds everything that the answer depends on: the scene with its geometry, the request, its seed, the planner's
+configuration. Running it again therefore gives the same answer. A time-out depends on the wall clock; it is reproduced
+at the same step of the work.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FORMAT = 1
 
 
 class Steps:
-    """A watch that counts its calls and forwards them."""
+    """A watch that counts its calls and passes them on."""
 
     def __init__(self, watch: Watch = no_watch) -> None:
         """Wrap a watch."""
@@ -59,7 +59,7 @@ class Outcome:
     """`Answer.digest`; empty after an error."""
 
     def __str__(self) -> str:
-        """Say it."""
+        """Describe the outcome for a person."""
         return f"{ErrorCode(self.error_code).name}: {self.error_msg}" if self.error_code else f"OK, {self.digest}"
 
 
@@ -144,7 +144,7 @@ def write_dump(dump: Dump, folder: Path, name: str, *, kept: int) -> Path:
         dump: What to write.
         folder: Folder to write to; created if it does not exist.
         name: Beginning of the file's name; sorts by age.
-        kept: How many dumps the folder may hold, >= 1.
+        kept: Largest number of dumps in the folder, >= 1.
 
     Returns:
         The file.
@@ -218,7 +218,7 @@ def dump_folder() -> Path:
 
 
 def _finite(data: Any) -> Any:
-    """Leave out keys whose value is infinite: JSON has no infinity, and their defaults are infinite."""
+    """Omit keys with an infinite value, which is their default: JSON has no infinity."""
     if isinstance(data, dict):
         return {k: _finite(v) for k, v in data.items() if not (isinstance(v, float) and math.isinf(v))}
     if isinstance(data, list | tuple):

@@ -30,7 +30,7 @@ class IkConfig:
     iterations: int = 24
     """Iterations per start."""
     starts: int = 100
-    """Starts: the reference, some near it, the rest uniform within the limits."""
+    """Number of starts: the reference, some near it, the rest uniform within the limits."""
     enough: int = 16
     """Number of converged starts after which `IkSolver.solve` ends; many converge to the same solution."""
     thorough: int = 8

@@ -1,4 +1,4 @@
-"""Import of the native kernel, with a check that its version is the one that the planner needs.
+"""Import of the native kernel, with a check of its version.
 
 The planner has no other way to check collisions. A missing or outdated kernel is an error; there is no slow fallback.
 """

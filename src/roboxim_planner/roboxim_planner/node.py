@@ -106,7 +106,7 @@ class PlannerNode(RoboximNode):
             SceneSpecMsg, "sim/scene", self._on_scene, qos.LATCHED, callback_group=MutuallyExclusiveCallbackGroup()
         )
         self._waiting = False
-        self._states = OnDemandGroup()  # receives states only at a new scene's start and for requests, not every tick
+        self._states = OnDemandGroup()  # receives states only when a scene starts and for requests, not at every tick
         self._notices = self.resolve_topic_name("sim/ticks")
         self._taken: LocalTick | None = None
         if not local_ticks.announced(context, self._notices):
@@ -176,7 +176,7 @@ class PlannerNode(RoboximNode):
         return self._tracker.knows(episode_id, seq)
 
     def _latest(self) -> PlanningScene:
-        """Ask the sim for its newest state: the newest one received on the topics may be older."""
+        """Request the newest state from the sim, because the last one received on the topics may be older."""
         wait_s = self._config.scene_wait_s
         try:
             answer = self.clients_of_node.call(GetState, "sim/get_state", GetState.Request(), wait_s=wait_s)
@@ -209,7 +209,7 @@ class PlannerNode(RoboximNode):
             planner = Planner(self._library.robot(robot_id), config)
             home = planner.named_state("home")
             near = np.clip(home + 1e-3, planner.robot.lower, planner.robot.upper)
-            with contextlib.suppress(PlannerError):  # a first plan builds what is built on first use
+            with contextlib.suppress(PlannerError):  # a first plan builds everything that is built on first use
                 planner.plan_to_joints(PlanningScene(), home, near)
             self._planners[robot_id] = planner
         return self._planners[robot_id]
@@ -256,7 +256,7 @@ class PlannerNode(RoboximNode):
         """Return a watch that ends a request after a time.
 
         Args:
-            timeout_s: Longest time from now [s]; 0: as the node's parameters say.
+            timeout_s: Longest time from now [s]; 0: the node's parameter.
             progress: Called with stage and iterations as well.
 
         Raises:

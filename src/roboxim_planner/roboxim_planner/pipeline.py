@@ -197,7 +197,7 @@ class Planner:
         plan = Plan(motion=motion, limits=limits, route="cartesian", fraction=fraction, waypoints=np.stack([begin, at]))
         if fraction < min_fraction - 1e-9:
             raise PathIncompleteError(
-                f"only {100.0 * fraction:.1f} % of the straight line can be done, {100.0 * min_fraction:.0f} % asked: "
+                f"only {100.0 * fraction:.1f} % of the straight line can be done, {100.0 * min_fraction:.0f} % needed: "
                 f"{reason}",
                 plan,
             )
@@ -460,7 +460,7 @@ class Planner:
         )
 
     def _search_config(self, options: MotionOptions, budget: int, refused: int) -> SearchConfig:
-        """Return the settings of a search: the more motions verification has refused, the finer its resolution."""
+        """Return the settings of a search: its resolution becomes finer with every motion that verification refuses."""
         base = self.config.search
         planners = base.planners
         if budget == 1 and not refused and options.planner in (*IMPROVERS, planners[0][0]):

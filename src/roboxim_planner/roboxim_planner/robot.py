@@ -148,7 +148,7 @@ class PlannerRobot:
 
     @cached_property
     def arm_within_limits(self) -> native.Arm:
-        """The same with slightly tighter limits, so that a smooth curve through configurations keeps the real ones."""
+        """The arm with slightly tighter limits, so that a smooth curve through configurations keeps the real ones."""
         return self._native_arm(_INSIDE_RAD)
 
     def _native_arm(self, margin: float) -> native.Arm:

@@ -1,4 +1,4 @@
-"""The planning scene: an immutable snapshot of what a motion must not collide with; it belongs to one request.
+"""The planning scene: an immutable snapshot of the obstacles of a motion; it belongs to one request.
 
 It consists of robot-neutral plain values, built from a simulated scene and its state, from inline primitives, or from
 both. Attached objects and allowed contacts are part of it, so the planner keeps no state between requests.
@@ -253,7 +253,7 @@ class SceneMaker:
         self._last: tuple[tuple[object, ...], PlanningScene] | None = None
 
     def scene(self, around: Surroundings) -> PlanningScene:
-        """Return what is around the robot, with the held body in the gripper.
+        """Return the robot's surroundings, with the held body in the gripper.
 
         Raises:
             ConfigError: If an entity names a model that the library does not have.

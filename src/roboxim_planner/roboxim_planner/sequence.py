@@ -1,9 +1,9 @@
 """Several motions as one request: approach, grasp, retreat.
 
-A free motion to a pose has many goal configurations. Which one the arm reaches decides most failures of a grasp: from
-some of them the following straight lines end at a joint limit or in a collision, from others they succeed. So the
-planner first follows the lines from every candidate, nearest first. It searches a free motion only to a candidate from
-which all lines succeed.
+A free motion to a pose has many goal configurations, and most failures of a grasp depend on the choice among them: from
+some, the following straight lines end at a joint limit or in a collision; from others, they succeed. The planner
+therefore first follows the lines from every candidate, nearest first. It searches a free motion only to a candidate
+from which all lines succeed.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ class Stage:
     kind: str
     """``pose``: free motion to any of the goals; ``joints``; ``cartesian``: straight lines through all of them."""
     name: str = ""
-    """For messages."""
+    """Name, for messages."""
     goals: tuple[StageGoal, ...] = ()
     """Goals of the kinds ``pose`` and ``cartesian``."""
     joints: tuple[float, ...] = ()
-    """Of ``joints`` [rad]."""
+    """Goal of the kind ``joints`` [rad]."""
     min_fraction: float = 1.0
     """For ``cartesian``: smallest fraction that counts as success, 0..1."""
     ignore_collisions: bool = False
@@ -91,7 +91,7 @@ class Stage:
             raise InvalidRequestError(f"stage '{self.name}' of kind {self.kind} needs at least one goal")
 
     def enter(self, scene: PlanningScene, pose_tcp: Pose) -> tuple[PlanningScene, PlanningScene]:
-        """Return the scene of this stage, and the scene that it leaves to the next.
+        """Return the scene of this stage, and the scene after it, for the next stage.
 
         Args:
             scene: The scene that the stage before left.
@@ -152,7 +152,8 @@ def plan_sequence(
         config: Budget; none: the default.
 
     Raises:
-        PlannerError: If no sequence is found; the message has the stage that failed, why, and the configurations tried.
+        PlannerError: If no sequence is found; the message names the failed stage, the reason, and the number of
+        configurations tried.
         InvalidRequestError: On malformed input.
     """
     if not stages:
@@ -289,7 +290,7 @@ class _Search:
 
     @contextmanager
     def _storing_error(self, k: int) -> Iterator[None]:
-        """Remember and swallow a planner's error in stage k."""
+        """Store a planner's error in stage k instead of raising it."""
         try:
             yield
         except PlannerError as error:

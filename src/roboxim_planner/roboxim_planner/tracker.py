@@ -69,12 +69,12 @@ class SceneTracker:
             self._changed.notify_all()
 
     def has(self, episode_id: str, seq: int) -> bool:
-        """Tell whether the revision has arrived, so that `revision` does not wait."""
+        """Return whether the revision has arrived, so that `revision` does not wait."""
         with self._changed:
             return self._has(episode_id, seq)
 
     def knows(self, episode_id: str, seq: int) -> bool:
-        """Tell whether the revision has arrived, or a later one of its episode."""
+        """Return whether the revision, or a later one of its episode, has arrived."""
         with self._changed:
             return self._has(episode_id, seq) or self._is_past(episode_id, seq)
 

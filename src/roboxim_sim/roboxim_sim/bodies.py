@@ -169,7 +169,7 @@ class RobotBody:
         the other finger's anchors carry the object meanwhile.
         """
         now = self._finger_rotation()
-        cosine = abs(sum(a * b for a, b in zip(now, self._turn_of_contacts, strict=True)))  # of half the angle
+        cosine = abs(sum(a * b for a, b in zip(now, self._turn_of_contacts, strict=True)))  # cosine of half the angle
         if cosine >= _COSINE_OF_CONTACT_TURN:
             return
         self._client.setCollisionFilterGroupMask(self.id, self.fingers[self._next_finger], *_FILTER_OF_LINKS)
@@ -356,7 +356,7 @@ def _parents_first(model: ObjectModel) -> list[JointModel]:
 
 
 def _can_roll(link: LinkModel) -> bool:
-    """Return whether a link has round shapes; rolling friction on other shapes would only cost time."""
+    """Return whether a link has round shapes; rolling friction has no effect on other shapes and only costs time."""
     return any(shape.kind != "box" for shape in link.collision)
 
 

@@ -14,7 +14,7 @@ _GREETING = b"pybullet build time"
 
 @contextlib.contextmanager
 def _without_greeting() -> Iterator[None]:
-    """Capture file descriptor 2 and afterwards write everything but the greeting to it."""
+    """Capture file descriptor 2 and afterwards write everything except the greeting to it."""
     kept = os.dup(2)
     with os.fdopen(os.memfd_create("stderr"), "r+b") as held:
         os.dup2(held.fileno(), 2)
@@ -40,7 +40,7 @@ class BulletClient:
     """
 
     def __init__(self) -> None:
-        """Connect. Without success, as beyond PyBullet's number of servers, ``isConnected`` is false."""
+        """Connect. If this fails, e.g. because PyBullet allows no more servers, ``isConnected`` is false."""
         client = pybullet.connect(pybullet.DIRECT)
         functions = {name: value for name, value in vars(pybullet).items() if inspect.isbuiltin(value)}
         vars(self).update({name: functools.partial(f, physicsClientId=client) for name, f in functions.items()})

@@ -48,7 +48,7 @@ class Turn:
 async def published_states(
     node: SimServer, goal: ServerGoalHandle, motion: Generator[StateRecord, None, None]
 ) -> AsyncGenerator[StateRecord, None]:
-    """Publish and yield every state of a motion; stop the motion when its goal is cancelled.
+    """Publish and yield every state of a motion; stop the motion if its goal is cancelled.
 
     Args:
         node: The sim node.
@@ -236,7 +236,7 @@ def _tolerances(joints: Sequence[str], given: Sequence[Any], default: Tolerance)
 
 
 def _optional_matrix(rows: Sequence[Any], order: list[int], what: str) -> Array | None:
-    """Return `_matrix`, or none when no point has values."""
+    """Return `_matrix`, or None if no point has values."""
     return _matrix(rows, order, what) if any(len(row) for row in rows) else None
 
 

@@ -39,7 +39,7 @@ ENCODINGS = {"image": "rgb8", "depth": "32FC1", "segmentation": "16UC1"}
 STAMP, POSE = struct.Struct("<iI"), struct.Struct("<7d")
 """``builtin_interfaces/Time`` and ``geometry_msgs/Transform`` in serialised messages."""
 MARK_NS, MARKS = 1_234_567_891_987_654_321, (1e201, 2e202, 3e203, 4e204, 5e205, 6e206, 7e207)
-"""A stamp and a pose that no message has, to find the places of both in a serialised one."""
+"""A stamp and a pose that occur in no real message, to find the bytes of both in a serialised one."""
 
 
 def camera_info_msg(stamp_ns: int, camera: CameraSpec) -> CameraInfo:
@@ -67,7 +67,7 @@ def camera_msgs(stamp_ns: int, camera: CameraSpec, images: CameraImages) -> dict
 
 
 def arrays_of(images: CameraImages) -> dict[str, npt.NDArray[Any]]:
-    """Return the images that there are, by kind."""
+    """Return the images that exist, by kind."""
     found = {"image": images.rgb, "depth": images.depth, "segmentation": images.segmentation}
     return {kind: array for kind, array in found.items() if array is not None}
 
@@ -122,7 +122,7 @@ def tf_cdr(stamp_ns: int, poses_in_world: Mapping[str, Pose]) -> memoryview:
 
 @lru_cache(maxsize=64)
 def _transforms(frames: tuple[str, ...]) -> tuple[bytes, tuple[tuple[int, int], ...]]:
-    """Return serialised transforms, and for each frame where its stamp and its pose are: all that ticks change."""
+    """Return serialised transforms, and by frame the positions of its stamp and pose, which change at every tick."""
     header = header_message(MARK_NS, "world")
     transform = message(
         "geometry_msgs/msg/Transform", translation=vector_message(MARKS[:3]), rotation=quaternion_message(MARKS[3:])
@@ -137,7 +137,7 @@ def _transforms(frames: tuple[str, ...]) -> tuple[bytes, tuple[tuple[int, int], 
 
 
 def _places(content: bytes, mark: bytes) -> list[int]:
-    """Return where some bytes are in a serialised message."""
+    """Return the position of some bytes in a serialised message."""
     return [found.start() for found in re.finditer(re.escape(mark), content)]
 
 
@@ -164,7 +164,7 @@ def image_cdr(stamp_ns: int, camera: CameraSpec, image: npt.NDArray[Any], encodi
 
 @lru_cache(maxsize=64)
 def _image_start(camera: str, height: int, width: int, step: int, encoding: str) -> tuple[bytes, int]:
-    """Return a serialised image up to its pixels, and where its stamp is."""
+    """Return a serialised image up to its pixels, and the byte position of its stamp."""
     size = height * step
     whole = serialise(
         "sensor_msgs/msg/Image",
@@ -191,7 +191,7 @@ def camera_info_cdr(stamp_ns: int, camera: CameraSpec) -> memoryview:
 
 @lru_cache(maxsize=64)
 def _intrinsics(camera: CameraSpec) -> tuple[bytes, int]:
-    """Return `camera_info_msg`, serialised, and where its stamp is, which alone changes from tick to tick."""
+    """Return `camera_info_msg`, serialised, and the position of its stamp, which alone changes at every tick."""
     msg = camera_info_msg(0, camera)
     fields = {name: getattr(msg, name) for name in msg.get_fields_and_field_types() if name != "header"}
     header = header_message(MARK_NS, optical_frame(camera.name))

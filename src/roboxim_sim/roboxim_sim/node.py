@@ -52,7 +52,7 @@ from roboxim_sim.world import World
 PROFILES = {topic: qos.LATCHED if topic in OF_SCENE else qos.STATE for topic in KINDS}
 """QoS by topic; camera topics use `qos.SENSOR`."""
 LISTENERS_S = 0.1
-"""Time between two looks whether somebody listens, for a sim that otherwise publishes nothing [s]."""
+"""Time between two checks for subscribers, for a sim that publishes nothing without them [s]."""
 
 
 class SimNode(SimServer):
@@ -75,7 +75,7 @@ class SimNode(SimServer):
         self._states: dict[str, StateRenderer] = {}
         self._holder = ""
         self._tick_messages: TickMessages | None = None
-        self._unpublished: PreparedTick | None = None  # the tick that holds the scene's messages
+        self._unpublished: PreparedTick | None = None  # tick with the scene's messages
         self._heard, self._look_by = False, 0.0
         self._scene_out = self.create_publisher(SceneSpecMsg, "sim/scene", qos.LATCHED)
         self._outputs: dict[str, Publisher] = {}
@@ -108,11 +108,11 @@ class SimNode(SimServer):
         self.world.close()
         super().destroy_node()
 
-    # ---------------------------------------------------------------- what the handlers share
+    # ---------------------------------------------------------------- shared by the handlers
 
     @property
     def renderer_info(self) -> dict[str, str]:
-        """Name and device of the renderer in use; the device says when the renderer does not work on this machine."""
+        """Name and device of the renderer in use; if it does not work on this machine, the device is the reason."""
         try:
             device = self._renderer(self._renderer_name, "live").device
         except SimError as error:
@@ -155,7 +155,7 @@ class SimNode(SimServer):
         self.publish(self.world.record)
 
     def publish(self, record: StateRecord) -> None:
-        """Publish all topics of a state, unless nobody listens (`SimConfig.publish_unheard`)."""
+        """Publish all topics of a state, unless there are no subscribers (`SimConfig.publish_unheard`)."""
         assert self._tick_messages is not None
         images = self._capture(record)
         tick = self._tick_messages.prepare(record, images)
@@ -176,7 +176,7 @@ class SimNode(SimServer):
             self._publisher(topic).publish(bytes(cdr))
 
     def _is_heard(self) -> bool:
-        """Tell whether somebody listens to a topic, as it was at most `LISTENERS_S` ago."""
+        """Return whether a topic has subscribers; the answer is at most `LISTENERS_S` old."""
         now = time.monotonic()
         if now >= self._look_by:
             self._heard = any(publisher.get_subscription_count() for publisher in self._outputs.values())
@@ -197,7 +197,7 @@ class SimNode(SimServer):
         self._tick_messages = TickMessages(scene, self.world.robot, self.world.scene_poses)
         for camera in scene.cameras:
             for topic in camera_topics(camera):
-                self._publisher(topic)  # before its first message, so that somebody can listen to it
+                self._publisher(topic)  # created before the first message, so that nodes can subscribe in time
         if scene.cameras:
             self._rig = CameraRig(self._renderer(self._renderer_name, "live"))
             self._rig.load(render_world(scene, self.library), scene)

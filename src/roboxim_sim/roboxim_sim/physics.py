@@ -122,7 +122,7 @@ class Physics:
                 body.read(*self._observer.extremes(body), self._observer.fastest_fall(body)) for body in self.objects
             ]
         except InvalidRequestError as error:
-            raise SimError(f"the physics has blown up in tick {seq}: {error}", ErrorCode.SIM_FAULT) from None
+            raise SimError(f"the physics has become unstable in tick {seq}: {error}", ErrorCode.SIM_FAULT) from None
         entities = tuple(entity for entity, _ in read)
         return StateRecord(
             episode_id=episode_id,

@@ -28,7 +28,7 @@ class SimConfig:
         "whether ticks are published when nobody listens, so that a late subscriber gets the newest "
         "one; otherwise it gets the scene's topics and the ticks from 0.1 s later on",
     )
-    """Whether ticks are published when nobody listens. The workers of runs leave it out: nodes of their process take
+    """Whether ticks are published without subscribers. The workers of runs switch it off: nodes of their process take
     ticks from `roboxim_ros.local.ticks`, and the next tick comes within milliseconds."""
 
 

@@ -164,7 +164,7 @@ class StandardServices:
             self._node.load(self._world.first_scene)
         else:
             response.result.result = response.INCORRECT_TRANSITION
-            response.result.error_message = "time moves only when asked (step_simulation, tick, actions): always paused"
+            response.result.error_message = "time moves on request only (step_simulation, tick, actions): always paused"
 
 
 def _answering_ok(handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:

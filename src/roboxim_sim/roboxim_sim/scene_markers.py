@@ -1,8 +1,8 @@
 """The shapes of a scene as markers, so that a viewer shows robot and objects without any file.
 
 A viewer draws the robot from `/robot_description` only where it finds the meshes that the URDF names. Markers carry
-their triangles, so a bag looks like its episode on every machine. They are coarse, and come once an episode: each is
-locked to its body's frame, which `/tf` moves.
+their triangles, so a bag looks like its episode on every machine. The triangles are coarse, and are sent once per
+episode: each marker is locked to its body's frame, which `/tf` moves.
 
 Serialising a shape is slow, since each of its corners is a Python object. So each shape is serialised once, and a
 scene's message is put together from the kept bytes.
@@ -37,14 +37,15 @@ from roboxim_sim.rendering.lod import coarse_meshes
 from roboxim_sim.rendering.textures import pixels
 
 FACES = 500
-"""Most triangles of a body, about; `raster` simplifies a robot's links to as many, and the meshes are shared."""
+"""Approximate largest number of triangles of a body; the simplified robot links of `raster` have as many and are
+shared."""
 GRID_M = 2.0**-13
 """Corners lie on a grid of this size [m], so that bags compress them."""
 LEFT_OUT = ("wall", "floor")
 """Entities that would hide the scene from a viewer."""
 MARKER_ARRAY = "visualization_msgs/msg/MarkerArray"
 ENCAPSULATION = b"\x00\x01\x00\x00"
-"""How a message in little-endian CDR begins; alignment is counted from its end."""
+"""First bytes of a message in little-endian CDR; alignment is counted from their end."""
 _COUNT, _ID = struct.Struct("<I"), struct.Struct("<i")
 ROBOT = "robot"
 """Namespace of the robot's markers, so that a viewer can hide them where it has the meshes."""
@@ -52,7 +53,7 @@ ROBOT = "robot"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Shape:
-    """What a marker of a triangle list shows."""
+    """Content of a triangle-list marker."""
 
     entity: str
     """Entity that it belongs to."""
@@ -66,17 +67,17 @@ class Shape:
 
 @dataclass(frozen=True, kw_only=True)
 class KeptMarker:
-    """A serialised marker, as it stands in a ``MarkerArray``.
+    """A serialised marker, as it is in a ``MarkerArray``.
 
-    Padding depends on where a marker begins. In an array every marker begins 4 bytes behind a multiple of 8. The first
-    one stands behind the array's count. Points begin at a multiple of 8 and have 24 bytes each, and what follows them
-    is as long in all markers.
+    Padding depends on where a marker begins. In an array every marker begins 4 bytes after a multiple of 8: the first
+    one follows the array's count. Points begin at a multiple of 8 and have 24 bytes each, and the part after them has
+    the same length in all markers.
     """
 
     cdr: bytes
     """The marker with a stamp and an id of 0."""
     id_at: int
-    """Where its ``id`` is: behind its stamp, its frame and its namespace [bytes]."""
+    """Position of its ``id``, after its stamp, its frame and its namespace [bytes]."""
 
 
 def scene_markers_cdr(scene: SceneSpec, library: ModelLibrary, stamp_ns: int) -> memoryview:
@@ -119,7 +120,7 @@ def _kept(shape: Shape | None) -> KeptMarker:
     array = serialise(MARKER_ARRAY, markers=[_marker(shape)])
     start = bytearray(STAMP.size)
     for text in (shape.frame, shape.entity) if shape else ("world", ""):
-        start += bytes(4 + len(text.encode()) + 1)  # its length, itself, and a zero
+        start += bytes(4 + len(text.encode()) + 1)  # its length, its bytes, and a zero
         _align(start)
     return KeptMarker(cdr=bytes(array[len(ENCAPSULATION) + _COUNT.size :]), id_at=len(start))
 
@@ -167,7 +168,7 @@ def _marker(shape: Shape | None) -> Any:
         pose=pose_message(IDENTITY),
         scale=vector_message((1.0, 1.0, 1.0) if shape else (0.0, 0.0, 0.0)),
         color=message("std_msgs/msg/ColorRGBA", r=r, g=g, b=b, a=opacity),
-        lifetime=time_message(0),  # for ever
+        lifetime=time_message(0),  # never expires
         frame_locked=shape is not None,
         points=shape.points if shape else [],
         colors=[],

@@ -39,7 +39,7 @@ NOTICE = "sim/ticks"
 MARKERS = "sim/markers"
 """Topic of the scene's shapes."""
 OF_SCENE = ("tf_static", "robot_description", MARKERS)
-"""Topics with a message in tick 0 alone."""
+"""Topics with a message only in tick 0."""
 KINDS: Mapping[str, Any] = {
     "clock": Clock,
     "joint_states": JointState,
@@ -145,7 +145,7 @@ class TickFrames:
 
     @staticmethod
     def of(record: StateRecord, poses: ScenePoses) -> TickFrames:
-        """Return those of a state, in the thread of ``poses``."""
+        """Return the poses of a state; call it in the thread of ``poses``."""
         robot = record.robot
         return TickFrames(
             links=poses.link_poses(robot), objects=poses.object_poses(record), cameras=poses.camera_poses(robot)
@@ -153,7 +153,7 @@ class TickFrames:
 
 
 class PreparedTick:
-    """What a tick's messages are made of. Made by `TickMessages.prepare`."""
+    """Source of a tick's messages. Made by `TickMessages.prepare`."""
 
     def __init__(
         self,
@@ -164,7 +164,7 @@ class PreparedTick:
         *,
         first: bool,
     ) -> None:
-        """Keep the values; nobody may change them.
+        """Store the values, which must not change afterwards.
 
         Args:
             maker: Makes the messages.

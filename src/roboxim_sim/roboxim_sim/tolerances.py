@@ -59,7 +59,7 @@ def tolerance(name: str, position: float, velocity: float, acceleration: float, 
 
 
 def violation(tolerances: Mapping[str, Tolerance], desired: JointStates, actual: JointStates) -> str:
-    """Return a sentence about the first joint that violates its tolerance, or an empty string if none does.
+    """Return a sentence about the first joint that violates its tolerance; empty: none does.
 
     Args:
         tolerances: Tolerances by joint name, in the model's order.

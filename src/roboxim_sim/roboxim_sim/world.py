@@ -198,7 +198,7 @@ class World:
         joints = self._start_joints(scene, arm)
         models = {entity.name: self.library.entity_model(entity) for entity in scene.entities}
         ScenePoses(scene, self.library, arm)
-        self._scene = None  # until the new one stands
+        self._scene = None  # until the new world is complete
 
         self.physics.build(scene, model, joints, models)
         make = JointController if semantics.control.is_joint_space else DeltaController

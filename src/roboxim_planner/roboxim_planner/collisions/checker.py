@@ -1,6 +1,6 @@
 """Collision checks of states, edges and paths in the native kernel, on the exact convex shapes, also between states.
 
-The kernel agrees with coal (a test compares them). coal is slower from Python; it is used to report what touches.
+The kernel agrees with coal (a test compares them). coal is slower from Python; it reports the touching pairs.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Array = npt.NDArray[np.float64]
 SEARCH_RESOLUTION_M = 0.01
 EXACT_RESOLUTION_M = 2.5e-4
 SELF_MARGIN_M = 2e-3  # distance that a search keeps between parts of the arm, where start and goals allow it
-_HALVINGS = 5  # how often a blend that is not free is halved
+_HALVINGS = 5  # number of times that a colliding blend is halved
 TOUCH_M = 5e-6  # the native kernel and coal differ by less in exact distances of hulls
 _PLAIN = ("box", "sphere", "cylinder", "capsule")
 
@@ -71,7 +71,7 @@ class CollisionWorld:
         return other
 
     def eased(self, padding: float, states: Array) -> CollisionWorld:
-        """Return the same world with a padding that the given states keep: less for a pair that is near in one of them.
+        """Return the same world with a padding that the given states satisfy: smaller for pairs that are near in one.
 
         A free path in the eased world touches nothing, because a pair's margin is also its resolution: the motion below
         which a free state stands for its surroundings. Exceptions are pairs with a smaller margin than the resolution
@@ -149,11 +149,11 @@ class CollisionWorld:
         return self.coal.contacts(np.asarray(joints, dtype=float), self.padding)
 
     def is_free(self, joints: npt.ArrayLike) -> bool:
-        """Tell whether an arm configuration touches nothing."""
+        """Return whether an arm configuration touches nothing."""
         return self.native.path_is_free(joints, self.margins(SEARCH_RESOLUTION_M))
 
     def edge_is_free(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float = SEARCH_RESOLUTION_M) -> bool:
-        """Tell whether the straight joint-space edge is free, both ends included.
+        """Return whether the straight joint-space edge is free, both ends included.
 
         Args:
             start: Arm configuration, shape (dof,) [rad].
@@ -167,7 +167,7 @@ class CollisionWorld:
         return self.native.free_edge(start, ends, self.margins(resolution))
 
     def path_is_free(self, path: npt.ArrayLike, resolution: float = SEARCH_RESOLUTION_M) -> bool:
-        """Tell whether a polyline of arm configurations (N, dof) is free, also between its points."""
+        """Return whether a polyline of arm configurations (N, dof) is free, also between its points."""
         return self.native.path_is_free(path, self.margins(resolution))
 
     def blends(self, path: npt.ArrayLike, largest: float, resolution: float = SEARCH_RESOLUTION_M) -> Array:
@@ -176,7 +176,7 @@ class CollisionWorld:
         Args:
             path: Waypoints, shape (N, dof) [rad].
             largest: Largest distance from a waypoint at which a blend may begin [rad].
-            resolution: Motion below which a free state stands for what is around it [m].
+            resolution: Motion below which a free state stands for its surroundings [m].
 
         Returns:
             Distances, shape (N - 2,) [rad]; 0 where no blend is free.
@@ -184,11 +184,11 @@ class CollisionWorld:
         return self.native.blends(path, largest, _HALVINGS, self.margins(resolution))
 
     def first_hit(self, path: npt.ArrayLike, resolution: float = EXACT_RESOLUTION_M) -> float:
-        """Return where a polyline first collides; 1.5 is midway between points 1 and 2; negative: it does not."""
+        """Return where a polyline first collides; 1.5 is midway between points 1 and 2; negative: no collision."""
         return self.native.first_hit(path, self.margins(resolution))
 
     def is_proven(self, path: npt.ArrayLike) -> bool:
-        """Tell whether a dense path of shape (N, dof) touches nothing, in the sense of `first_collision`."""
+        """Return whether a dense path of shape (N, dof) touches nothing, in the sense of `first_collision`."""
         return any(self.native.path_is_free(path, margins) for margins in self._proofs())
 
     def _proofs(self) -> Iterator[native.Margins]:
@@ -198,8 +198,8 @@ class CollisionWorld:
     def first_collision(self, path: npt.ArrayLike) -> int:
         """Return the index of the first point of a dense path of shape (N, dof) at or after a collision, or -1.
 
-        A path that keeps a distance equal to the resolution is proven, also between the checked places. A path that
-        does not is checked again at the resolution at which distances are exact (`TOUCH_M`).
+        A path that keeps a distance of the resolution or more is free, also between the checked places. Any other path
+        is checked again at the resolution at which distances are exact (`TOUCH_M`).
         """
         points = np.asarray(path, dtype=float)
         hit = -1.0
@@ -266,5 +266,5 @@ class _HeldPart(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _held_parts(shapes: tuple[BodyShape, ...]) -> tuple[_HeldPart, ...]:
-    """Return a body's parts as the kernel takes what the robot carries."""
+    """Return a body's parts in the kernel's format for held bodies."""
     return tuple(_HeldPart(*native_shape(held_shape(part))) for part in shapes)

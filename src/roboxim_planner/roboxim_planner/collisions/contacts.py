@@ -42,7 +42,7 @@ class ContactPair:
 
 
 class ContactRules:
-    """Rules that tell which named bodies of a scene are checked against each other."""
+    """Rules for which named bodies of a scene are checked against each other."""
 
     def __init__(self, robot: PlannerRobot, scene: PlanningScene) -> None:
         """Read the scene's rules.
@@ -66,7 +66,7 @@ class ContactRules:
         self._allowed = list(_expand(scene.allowed, links, gripper, set(scene.names)))
 
     def checks(self, a: str, b: str) -> bool:
-        """Tell whether two bodies are checked; pairs of robot links also follow the SRDF."""
+        """Return whether two bodies are checked; pairs of robot links also follow the SRDF."""
         if not self._touch and not self._allowed:
             return True
         known = self._known.get((a, b))
@@ -134,7 +134,7 @@ class ContactModel:
         return float(self._data.distanceResults[pair].min_distance)
 
     def is_free(self, joints: Array) -> bool:
-        """Tell whether an arm configuration of shape (dof,) touches nothing."""
+        """Return whether an arm configuration of shape (dof,) touches nothing."""
         q = self._robot.full(joints, self._scene.gripper_opening)
         if pin.computeCollisions(self._robot.model, self._robot.scratch, self._model, self._data, q, True):
             return False

@@ -98,7 +98,7 @@ def _corners(points: Array) -> Array:
 
 
 def _ball(points: Array) -> Array:
-    """Return a small sphere around points: step towards the farthest point, ever less (Badoiu and Clarkson, 2003)."""
+    """Return a small sphere around points: ever smaller steps to the farthest point (Badoiu and Clarkson, 2003)."""
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     best_center, best = center, float(np.linalg.norm(points - center, axis=1).max())
     for step in range(1, 60):

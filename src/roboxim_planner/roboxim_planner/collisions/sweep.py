@@ -15,7 +15,7 @@ from roboxim_planner.scene import PlanningScene
 
 Array = npt.NDArray[np.float64]
 LEAST_PADDING_M = 1e-3
-"""Least padding of a search, kept even if the request asks for none: barely clear paths are slow to prove [m].
+"""Smallest padding of a search, used even if the request sets none: barely clear paths are slow to prove [m].
 
 Pairs that are nearer at the start or at a goal get less.
 """
@@ -50,12 +50,12 @@ class Sweep:
         return self.exact.first_collision(samples)
 
     def is_proven(self, samples: Array) -> bool:
-        """Tell whether a sweep of shape (N, dof) touches nothing."""
+        """Return whether a sweep of shape (N, dof) touches nothing."""
         return self.exact.is_proven(samples)
 
 
 class PaddedSweep(Sweep):
-    """A sweep that checks the scene exactly, and offers the same scene with the padding of a search."""
+    """A sweep that checks the scene exactly, and provides the same scene with the padding of a search."""
 
     def __init__(
         self, robot: PlannerRobot, scene: PlanningScene, search_padding: float, upright: Upright | None

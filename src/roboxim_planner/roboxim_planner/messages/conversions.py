@@ -103,7 +103,7 @@ def pose_in_world(
         frame: ``world`` or empty, ``<robot>_base`` or the robot's base link, or ``tcp`` (at the start).
         robot: The robot.
         robot_pose: Pose of the robot's base in the world.
-        start: Arm configuration at the start, for the frame ``tcp``; none: the request does not know that frame.
+        start: Arm configuration at the start, for the frame ``tcp``; none: the request does not allow that frame.
         what: Name of the pose in error messages.
 
     Raises:
@@ -206,11 +206,11 @@ def _duration(seconds: float) -> Duration:
 
 
 def trajectory_from_msg(msg: JointTrajectory, robot: RobotModel) -> dict[str, Any]:
-    """Return positions, times, velocities and accelerations of a trajectory; none for those that it does not give.
+    """Return positions, times, velocities and accelerations of a trajectory; None for those that it lacks.
 
     Raises:
-        InvalidRequestError: If the points differ in what they give, a number is not finite, or the joints do not match
-            the robot's.
+        InvalidRequestError: If some points lack values that others have, a number is not finite, or the joints do not
+            match the robot's.
     """
     if not msg.points:
         raise InvalidRequestError("the trajectory has no point")

@@ -85,7 +85,7 @@ def start_from_msg(msg: JointState, robot: PlannerRobot, scene: PlanningScene, *
     if len(msg.position):
         return robot.check_joints(joints_from_msg(msg, robot.description, what=what), what=what)
     if not scene.joint_command:
-        raise InvalidRequestError(f"{what} is empty; it may be only when the scene is named by episode_id and seq")
+        raise InvalidRequestError(f"{what} is empty, which is allowed only if episode_id and seq name the scene")
     return robot.check_joints(scene.joint_command, what=what)
 
 
@@ -136,7 +136,7 @@ MAKERS: dict[str, Callable[[Common, Any], Query]] = {
     "retime_path": lambda common, msg: retime_query(common, msg),
     "plan_motion": lambda common, msg: motion_query(common, msg),
 }
-"""Service name to the function that makes the query of its request (or an action's goal); all have ``request``."""
+"""Service name to the function that makes the query of its request or action goal; all of these have ``request``."""
 
 
 def common_from_msg(msg: Any, planner: Planner, scene: PlanningScene, *, with_start: bool) -> Common:

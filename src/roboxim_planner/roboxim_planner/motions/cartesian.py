@@ -1,7 +1,7 @@
 """Straight-line motions of the TCP: position linear, rotation along the shortest arc, one speed law for both.
 
-The joint path comes from inverse kinematics at dense places along the line, each started from the one before. Where
-that ends early, the arm's redundancy is searched for a continuation. The motion is a smooth spline through the joint
+The joint path comes from inverse kinematics at dense places along the line, each started from the solution before it.
+Where this ends early, the search uses the arm's redundancy to continue. The motion is a smooth spline through the joint
 path, driven by a one-degree-of-freedom Ruckig profile. The profile is stretched in time until every joint limit holds.
 Stretching is exact: velocity, acceleration and jerk fall with the factor, its square and its cube.
 """
@@ -43,7 +43,7 @@ class LinePath:
     angle_rad: float
     """Angle that the whole line turns by [rad]."""
     reason: str = ""
-    """Why the path ends early; empty if it covers the whole line."""
+    """Reason why the path ends early; empty if it covers the whole line."""
 
     def part(self, count: int) -> float:
         """Return the fraction of the line that the first ``count`` configurations cover, 0..1."""
@@ -214,7 +214,7 @@ class LineMotion:
         """
         from scipy.interpolate import make_interp_spline
 
-        if len(joints) < 4:  # the same line or parabola by four places, because its third derivative is needed
+        if len(joints) < 4:  # sample the line or parabola at four places, because a third derivative is needed
             few = make_interp_spline(np.linspace(0.0, 1.0, len(joints)), joints, k=len(joints) - 1)
             joints = few(np.linspace(0.0, 1.0, 4))
         knots = np.linspace(0.0, 1.0, len(joints))
@@ -273,7 +273,7 @@ class LineMotion:
 
 
 def time_line(path: LinePath, limits: MotionLimits) -> Motion:
-    """Return the timed motion along a followed line; a line of no length gives a motion that stays."""
+    """Return the timed motion along a followed line; a line of no length gives a motion at rest."""
     if len(path.joints) < 2 or float(np.abs(path.joints - path.joints[0]).max()) < 1e-9:
         return still(path.joints[0])
     return LineMotion(path.joints, limits, path.fraction * path.length_m, path.fraction * path.angle_rad)

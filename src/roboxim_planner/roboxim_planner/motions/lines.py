@@ -71,7 +71,7 @@ def _line(robot: PlannerRobot, sweep: Sweep | None, path: LinePath, limits: Moti
     reason = reason or path.reason
     motion: Motion = time_line(path.cut(count), limits)
     finding = verify_motion(sweep, robot, motion, limits)
-    if not finding.valid:  # the curve between the configurations breaks a limit, the configurations themselves do not
+    if not finding.valid:  # only the curve between the configurations breaks a limit
         reason = f"the timed motion is not valid: {finding}"
         return Line(motion=still(path.joints[0]), part=0.0, end=path.joints[0], reason=reason)
     return Line(motion=motion, part=path.part(count), end=path.joints[count - 1], reason=reason)

@@ -1,6 +1,6 @@
 """Trajectory points for a controller: cubic and quintic splines through them keep the limits.
 
-A joint trajectory controller knows only the points. It interpolates them by cubic splines through positions and
+A joint trajectory controller receives only the points. It interpolates them by cubic splines through positions and
 velocities, or by quintic splines through accelerations as well. Such a spline reproduces the motion where the motion's
 polynomial does not change between two points. Where the jerk jumps in between, the spline overshoots: it reaches 1.6
 times the acceleration limit at 10 ms, since a Panda reaches its full acceleration within 2 ms. So there are points at
@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 TOLERANCE = 0.01
 """Fraction of a limit by which a spline may exceed it."""
 CHECK_PERIOD_S = 1e-3
-"""Spacing at which splines are looked at, at most; segments are divided evenly."""
+"""Largest spacing at which splines are checked; segments are divided evenly."""
 MIN_GAP_S = 5e-6
 """A jump of the jerk that is nearer than this to another point gets no point [s]."""
 _ROUNDS = 8

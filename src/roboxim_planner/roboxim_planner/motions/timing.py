@@ -1,8 +1,8 @@
 """Time laws: turn a path into a motion within velocity, acceleration and jerk limits.
 
 Straight joint lines follow a one-degree-of-freedom Ruckig profile. Corners are blends, whose velocity turns smoothly
-from the direction of one line to that of the next. So the motion leaves the lines only in blends, which are checked for
-collisions, and never exceeds a limit. The motion is one piecewise polynomial in time, evaluated in one call.
+from the direction of one line to that of the next. The motion thus leaves the lines only in blends, which are checked
+for collisions, and never exceeds a limit. The motion is one piecewise polynomial in time, evaluated in one call.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def require_duration(duration_s: float) -> None:
     """Refuse a motion that takes too long: it is sampled every millisecond, and its samples are held in memory.
 
     Args:
-        duration_s: How long it would take [s].
+        duration_s: Duration of the motion [s].
 
     Raises:
         PlannerError: ``TRAJECTORY_INVALID``.
@@ -141,7 +141,7 @@ def require_duration(duration_s: float) -> None:
 
 
 def still(joints: Array) -> PolynomialMotion:
-    """Return a motion that stays for a millisecond, for a goal equal to the start."""
+    """Return a motion at rest of one millisecond, for a goal equal to the start."""
     return PolynomialMotion(np.array([0.0, 1e-3]), joints[None, None, :].copy())
 
 

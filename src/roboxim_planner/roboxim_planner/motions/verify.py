@@ -1,6 +1,6 @@
 """Final verification of a motion: the timed trajectory is sampled densely and every guarantee is checked on samples.
 
-Verification does not rely on how the motion was made:
+Verification is independent of the way in which the motion was made:
 
 - Collisions are checked on the exact geometry, by the native kernel all along the motion and by coal at some states.
 - Limits are checked every millisecond.
@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 LIMIT_PERIOD_S = 1e-3
 WITNESSED_STATES = 24
 CHECKED_AT_ONCE = 200
-"""Points of a trajectory between two looks at the watch."""
+"""Number of trajectory points between two calls of the watch."""
 _SPREAD = np.linspace(0.0, 1.0, WITNESSED_STATES)
 _SLACK = 1.0 + 1e-3
 _COLLIDES = "the motion collides"
@@ -33,7 +33,7 @@ _COLLIDES = "the motion collides"
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What a check found; empty means valid."""
+    """Findings of a check; empty: valid."""
 
     contacts: tuple[ContactPair, ...] = ()
     """Pairs that touch at the first collision, deepest first."""
@@ -46,7 +46,7 @@ class Finding:
 
     @property
     def valid(self) -> bool:
-        """Whether nothing was found."""
+        """Whether the motion is valid."""
         return not self.contacts and not self.violations
 
     def __str__(self) -> str:
@@ -72,7 +72,7 @@ def verify_motion(
         motion: The motion.
         limits: Limits that the motion must keep.
         goal: Arm configuration that the motion must end at, shape (dof,) [rad]; none: not checked.
-        explain: Whether to report where a motion collides, and what touches.
+        explain: Whether to report where a motion collides, and the touching pairs.
     """
     times = np.append(np.arange(0.0, motion.duration, LIMIT_PERIOD_S), motion.duration)
     q, v, a, j = motion.evaluate(times)
@@ -160,7 +160,7 @@ def verify_samples(
 
 
 def _first_hit(world: CollisionWorld, path: Array, watch: Watch) -> float:
-    """Return where a polyline first collides, in units of its points; negative: nowhere."""
+    """Return where a polyline first collides, in units of its points; negative: no collision."""
     for first in range(0, max(1, len(path) - 1), CHECKED_AT_ONCE):
         watch("verify", first)
         hit = world.first_hit(path[first : first + CHECKED_AT_ONCE + 1])

@@ -23,7 +23,7 @@ RENDERERS: Registry[Callable[[], Renderer]] = Registry("renderer")
 
 @RENDERERS.conformance
 def is_made_without_arguments(name: str, item: Callable[[], Renderer]) -> None:
-    """Refuse a renderer that cannot be made as the sim makes it. It is not made: that may need a GPU, or Blender."""
+    """Refuse a renderer that the sim cannot create; it is not created here, because that may need a GPU or Blender."""
     assert callable(item), "it is not callable"
     inspect.signature(item).bind()
     if isinstance(item, type):

@@ -195,7 +195,7 @@ class Packer:
     def _shape(self, entity: str, parts: Sequence[VisualPart], textures: Sequence[str]) -> _Shape:
         kind = entity if entity in (*SURROUNDINGS, "table", "robot") else ""
         layers = tuple(textures.index(part.material.texture) for part in parts)
-        key = (kind, layers, *map(id, parts))  # a kept shape keeps its parts, so that their ids stay theirs
+        key = (kind, layers, *map(id, parts))  # kept shapes keep their parts, so that ids stay unique
         shape = self._kept.get(key)
         if shape is None:
             shape = self._kept[key] = _shape_of(kind, parts, layers, self._openness)
@@ -207,7 +207,7 @@ class Packer:
 
 @dataclass(frozen=True, kw_only=True)
 class _Shape:
-    """A body's arrays, whatever its place in a world."""
+    """A body's arrays, independent of its place in a world."""
 
     parts: tuple[VisualPart, ...]
     vertices: npt.NDArray[np.void]

@@ -34,7 +34,7 @@ KEPT_TEXTURES = 24
 def create_context() -> moderngl.Context:
     """Create a GL context without a window: on a GPU if one works, otherwise in software.
 
-    Call its `gc` now and then: it frees the buffers, textures and programs that nobody refers to any more.
+    Call its `gc` from time to time: it frees the buffers, textures and programs that nothing refers to any more.
 
     The environment variable ``GLCONTEXT_DEVICE_INDEX`` selects an EGL device by index.
 
@@ -79,7 +79,7 @@ def wait_for_drawing() -> None:
 
 @cache
 def _gl_finish() -> Callable[[], None]:
-    """Return ``glFinish``, or what does nothing if it is not found: then reading waits."""
+    """Return ``glFinish``. If it is not found, return a function that does nothing; reading then waits."""
     egl = ctypes.CDLL("libEGL.so.1")
     egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
     address = egl.eglGetProcAddress(b"glFinish")

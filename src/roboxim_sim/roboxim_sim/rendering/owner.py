@@ -36,7 +36,7 @@ class Owner:
         """Check the calling thread.
 
         Args:
-            loaded: Whether the renderer has what the call needs: a world.
+            loaded: Whether the renderer has the world that the call needs; true if it needs none.
 
         Raises:
             SimError: When the calling thread is not the owner, the renderer is closed, or it has no world.

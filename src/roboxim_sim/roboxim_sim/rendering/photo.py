@@ -192,7 +192,7 @@ class PhotoRenderer:
 
     def _send(self, message: dict[str, Any], arrays: dict[str, npt.NDArray[Any]] | None = None) -> None:
         assert self._process.stdin
-        with contextlib.suppress(BrokenPipeError):  # `_receive` says why
+        with contextlib.suppress(BrokenPipeError):  # `_receive` reports the reason
             photo_worker.send(self._process.stdin, message, arrays)
 
     def _receive(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
@@ -203,7 +203,7 @@ class PhotoRenderer:
             status = self._process.wait(10.0)
             self._log.seek(0)
             tail = self._log.read().decode(errors="replace").strip()[-400:]
-            raise SimError(f"Blender ended with status {status}: {tail or 'it said nothing'}") from None
+            raise SimError(f"Blender ended with status {status}: {tail or 'it printed nothing'}") from None
         if "error" in message:
             raise SimError(f"Blender failed: {message['error']}")
         return message, arrays

@@ -26,7 +26,7 @@ PIXEL_TYPES = {0: np.uint32, 1: np.float16, 2: np.float32}
 MARGIN = 4
 """Width of the margin that is rendered around the image and cropped, because the denoiser errs at the edges [px]."""
 FAR_M = 1e9
-"""Depth from which on Cycles reports that a ray hit nothing."""
+"""Depths from this value on mean that the ray hit nothing."""
 
 
 def send(stream: IO[bytes], message: dict[str, Any], arrays: dict[str, Any] | None = None) -> None:

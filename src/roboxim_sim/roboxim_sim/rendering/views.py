@@ -37,7 +37,7 @@ def clip_from_world(camera: CameraSpec, pose_optical_in_world: Pose) -> Array:
     projection[2, 2:] = (far + near) / (far - near), -2 * far * near / (far - near)
     projection[3, 2] = 1.0
     x, y, z, w = pose_optical_in_world.quat_xyzw
-    view = np.eye(4)  # by hand: a scipy rotation costs as much as all other matrices of a tick
+    view = np.eye(4)  # without scipy: its rotation costs as much as all other matrices of a tick
     view[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)],
         [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)],
