@@ -38,11 +38,11 @@ T = TypeVar("T")
 
 
 class NotAnEpisodeError(RecorderError):
-    """A bag that may be whole, but holds no episode of RoboXim."""
+    """A bag without an episode of RoboXim; the bag itself may be intact."""
 
 
 def not_an_episode(path: Path, counts: Mapping[str, int]) -> NotAnEpisodeError:
-    """Return an error that names a bag of another system, and what it holds.
+    """Return an error that names a bag of another system, and its topics.
 
     Args:
         path: The bag.
@@ -66,7 +66,7 @@ def damage(path: Path) -> Iterator[None]:
         raise damaged(path, str(error) or type(error).__name__) from error
     except (struct.error, EOFError, InvalidRequestError) as error:
         raise damaged(path, str(error)) from error
-    except (ValueError, LookupError, OverflowError, MemoryError, AssertionError, RuntimeError) as error:  # lz4's, too
+    except (ValueError, LookupError, OverflowError, MemoryError, AssertionError, RuntimeError) as error:  # also lz4's
         raise damaged(path, f"{type(error).__name__}: {error}") from error
     except OSError as error:
         raise damaged(path, error.strerror or str(error)) from error
@@ -98,7 +98,7 @@ class BagTick:
     state: StateRecord
     """State of the world."""
     step: EpisodeStep
-    """What the episode loop added: actions, phase, verdict."""
+    """Data that the episode loop added: actions, phase, verdict."""
     images: dict[str, npt.NDArray[np.uint8]] = field(default_factory=dict)
     """Camera to RGB image, uint8, shape (height, width, 3), read-only."""
     depth: dict[str, npt.NDArray[np.float32]] = field(default_factory=dict)
@@ -143,7 +143,7 @@ def _has_magic(file: Path) -> bool:
 
 
 class BagReader:
-    """An episode's bag. Messages are decoded when asked for; nothing is kept open between calls."""
+    """An episode's bag. Messages are decoded on request; no file stays open between calls."""
 
     def __init__(self, path: Path | str, *, info: EpisodeInfo | None = None) -> None:
         """Open a bag.
@@ -215,7 +215,7 @@ class BagReader:
 
     @property
     def received(self) -> tuple[str, ...]:
-        """Instructions that the policy was given in the episode, each once; empty: the bag does not say.
+        """Instructions that the policy was given in the episode, each once; empty: unknown.
 
         Raises:
             RecorderError: With code ``BAG_DAMAGED``.
@@ -369,7 +369,7 @@ class BagReader:
 
 
 def counted(stream: IO[bytes]) -> Summary:
-    """Return the summary of a whole file that was written without one, or without counts.
+    """Return the summary of a complete file that was written without one, or without counts.
 
     Raises:
         ValueError: When the file has no end.

@@ -1,4 +1,4 @@
-"""Writes one episode's bag: a rosbag2 folder with one MCAP file, in its final place only when it is whole.
+"""Writes one episode's bag: a rosbag2 folder with one MCAP file, which appears in its final place only when complete.
 
 The bag grows in ``<out>/.partial/<id>`` and is renamed into ``<out>/episodes`` or ``<out>/set_apart`` when closed. A
 killed recorder loses the messages since the last `BagWriter.flush`; `repair.repair_bag` recovers the rest.
@@ -24,7 +24,7 @@ from roboxim_recorder.topics import OF_SCENE
 from roboxim_ros.messages.schemas import MessageSchema
 
 PLACES = {"keep": "episodes", "set_apart": "set_apart"}
-"""How an episode is kept to the folder that it is kept in."""
+"""Value of ``keep`` to the folder of the bag."""
 PARTIAL = ".partial"
 METADATA = "roboxim"
 """Name of the MCAP metadata record."""
@@ -141,7 +141,7 @@ class McapFile:
         (self.path.parent / METADATA_FILE).write_text(metadata_text(description))
 
     def abandon(self) -> None:
-        """Close the file as it is."""
+        """Close the file without finishing it."""
         with contextlib.suppress(OSError):
             self._file.close()
 
@@ -207,7 +207,7 @@ class BagWriter:
     """Writes an episode's bag below a run's folder. Every fault of the disk is a `RecorderError` with code ``DISK``."""
 
     def __init__(self, output_dir: Path, episode_id: str) -> None:
-        """Open the bag; remove what a killed recorder has left of the same episode.
+        """Open the bag; remove files of the same episode that a killed recorder has left.
 
         Args:
             output_dir: The run's folder, absolute.

@@ -25,7 +25,7 @@ from roboxim_ros.messages.schemas import MessageSchema, typestore
 Cdr = bytes | bytearray | memoryview
 """A serialised message."""
 ORIGIN = 4
-"""Where alignment counts from: behind the encapsulation header [B]."""
+"""Position from which alignment counts: after the encapsulation header [B]."""
 _SIZES = {
     **dict.fromkeys(("bool", "byte", "char", "octet", "int8", "uint8"), 1),
     **dict.fromkeys(("int16", "uint16"), 2),
@@ -43,7 +43,7 @@ class CleanMessage:
     __slots__ = ("_layout", "_offsets", "data")
 
     def __init__(self, data: bytearray, offsets: tuple[int, ...], layout: MessageLayout) -> None:
-        """Keep what a walk found; `MessageLayout.clean` makes these."""
+        """Store the results of a walk; `MessageLayout.clean` creates the instances."""
         self.data = data
         """The serialised message with its encapsulation header."""
         self._offsets = offsets
@@ -55,7 +55,7 @@ class CleanMessage:
         return self._layout.name
 
     def __contains__(self, field: object) -> bool:
-        """Tell whether the message's type has a field."""
+        """Return whether the message's type has a field."""
         return field in self._layout.fields
 
     def _at(self, field: str) -> int:
@@ -82,7 +82,7 @@ class CleanMessage:
         return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
     def count(self, field: str) -> int:
-        """Return how many elements a sequence field has."""
+        """Return the number of elements of a sequence field."""
         return self.uint32(field)
 
     def bytes_of(self, field: str) -> memoryview:
@@ -109,7 +109,7 @@ class CleanMessage:
 
 
 class MessageLayout:
-    """How messages of one type lie in plain little-endian CDR."""
+    """Layout of the messages of one type in plain little-endian CDR."""
 
     def __init__(self, store: Typestore, name: str) -> None:
         """Make the walk of a type.
@@ -151,7 +151,7 @@ class MessageLayout:
 
 @lru_cache(maxsize=256)
 def message_layout(schema: MessageSchema) -> MessageLayout:
-    """Return how messages of a schema lie in CDR; made once per schema.
+    """Return the layout of a schema's messages in CDR; made once per schema.
 
     Raises:
         InvalidRequestError: When the type has fields that bags cannot hold.
@@ -168,7 +168,7 @@ class _WalkSource:
 
     ``p`` is the walk's position in the buffer ``b``. While the source is written, the position is known to be
     ``self._rest`` modulo ``self._step``, counted from the origin, and ``self._ahead`` bytes beyond ``p``: where both
-    tell that no padding can occur, nothing is written, and runs of fields of known sizes are one addition.
+    rule out padding, nothing is written, and runs of fields of known sizes become one addition.
     """
 
     def __init__(self, store: Typestore, name: str) -> None:
@@ -210,11 +210,11 @@ class _WalkSource:
         self._rest = (self._rest + size) % self._step
 
     def _forget(self, step: int = 1) -> None:
-        """Know of the position only that it is a multiple of ``step``."""
+        """Forget the position, except that it is a multiple of ``step``."""
         self._step, self._rest = step, 0
 
     def _align(self, size: int) -> None:
-        """Write what clears the padding before a field of an alignment."""
+        """Write code that clears the padding before a field with an alignment."""
         if self._step % size == 0:
             gap = -self._rest % size
             if gap:
@@ -235,7 +235,7 @@ class _WalkSource:
         return list(self._store.fielddefs[name][1])
 
     def _alignment(self, kind: Any) -> int:
-        """Return the alignment of what a field begins with."""
+        """Return the alignment of a field's first element."""
         node, what = kind
         if node == Nodetype.BASE:
             return 4 if what[0] == "string" else self._size(what[0])
@@ -292,7 +292,7 @@ class _WalkSource:
             return
         align, size = block
         self._settle()
-        if self._step % align or self._rest % align:  # only what has elements is aligned
+        if self._step % align or self._rest % align:  # an empty sequence is not aligned
             self._write(f"if {count}:")
             self._indent += 1
             self._align(align)
@@ -315,7 +315,7 @@ class _WalkSource:
         self._forget()
 
     def _block(self, kind: Any) -> tuple[int, int] | None:
-        """Return the alignment and size of what any number of lies without padding; None when padding can occur."""
+        """Return the alignment and size of a type whose sequences have no padding; None if padding can occur."""
         node, what = kind
         if node == Nodetype.BASE:
             return None if what[0] == "string" else (self._size(what[0]),) * 2

@@ -1,7 +1,7 @@
 """Reads the wanted messages of an MCAP file, in the order of their times.
 
-The reader of the package mcap makes an object and several copies of every message of a chunk, also of those that nobody
-asked for. Most of a bag are images, so that this was a third of the time of reading one.
+The reader of the package mcap makes an object and several copies of every message of a chunk, also of unwanted ones. A
+bag consists mostly of images, so this took a third of the reading time.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _ZSTD = "zstd"
 LARGEST_CHUNK = 1 << 29
 """Largest decompressed chunk that is read [B]. Recorders write chunks of a megabyte; one message fits in any case."""
 _FRAME_BYTES = 18
-"""Length of the header of a compressed frame, which may say the size of what it holds [B]."""
+"""Length of the header of a compressed frame, which may hold the size of its content [B]."""
 _LZ4_SIZED = 0x08
-"""Bit of an lz4 frame's fifth byte: its header says the size."""
+"""Bit of an lz4 frame's fifth byte: the header holds the size."""
 
 
 def read_messages(
@@ -72,8 +72,8 @@ def read_messages(
 def refuse_bombs(stream: IO[bytes]) -> None:
     """Refuse a file of which a record claims to be larger than `LARGEST_CHUNK`, decompressed, before any is read.
 
-    The libraries take memory for what a record or the header of a compressed frame claims. The sizes of frames without
-    one are bounded by the chunk's own claim.
+    The libraries allocate the memory that a record or the header of a compressed frame claims. The sizes of frames
+    without one are bounded by the chunk's own claim.
 
     Raises:
         ValueError: On such a record.
@@ -94,7 +94,7 @@ def _claim(stream: IO[bytes]) -> int:
     """Return the largest size that a chunk claims for its decompressed records, the stream being at its begin."""
     head = stream.read(_CHUNK.size + _LENGTH.size)
     if len(head) < _CHUNK.size + _LENGTH.size:
-        return 0  # the file ends here, as its reader will say
+        return 0  # the file ends here; its reader reports this
     claims, named = _CHUNK.unpack_from(head)[2], _LENGTH.unpack_from(head, _CHUNK.size)[0]
     if named > len(_ZSTD):
         return int(claims)
@@ -105,7 +105,7 @@ def _claim(stream: IO[bytes]) -> int:
             known = zstandard.get_frame_parameters(frame).content_size
             return int(max(claims, 0 if known == zstandard.CONTENTSIZE_UNKNOWN else known))
     except zstandard.ZstdError:
-        return int(claims)  # no frame, as its reader will say
+        return int(claims)  # no frame; its reader reports this
     if compression == b"lz4" and frame[4:5] and frame[4] & _LZ4_SIZED:
         return int(max(claims, *_LONG_LENGTH.unpack(frame[6:14])))
     return int(claims)
@@ -143,7 +143,7 @@ def _records(stream: IO[bytes], chunk: ChunkIndex) -> bytes:
     at = _RECORD.size
     _, _, size, crc = _CHUNK.unpack_from(raw, at)
     at += _CHUNK.size
-    at += _LENGTH.size + _LENGTH.unpack_from(raw, at)[0]  # the name of the compression, which the index says, too
+    at += _LENGTH.size + _LENGTH.unpack_from(raw, at)[0]  # the name of the compression, which the index also holds
     compressed = _LONG_LENGTH.unpack_from(raw, at)[0]
     at += _LONG_LENGTH.size
     if at + compressed > len(raw):

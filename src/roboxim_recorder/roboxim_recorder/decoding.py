@@ -12,7 +12,7 @@ from roboxim_ros.messages.schemas import MessageSchema, typestore
 
 
 class Decoder:
-    """Decodes the messages of a bag's topics; `bag.damage` converts what a message of another type raises."""
+    """Decodes the messages of a bag's topics; `bag.damage` converts the errors of a message of another type."""
 
     def __init__(self, schemas: Mapping[str, MessageSchema]) -> None:
         """Prepare to decode.
@@ -34,7 +34,7 @@ class Decoder:
         return bytes(self._store.serialize_cdr(message, self.types[topic]))
 
     def layout(self, topic: str) -> MessageLayout:
-        """Return how a topic's messages lie in CDR."""
+        """Return the CDR layout of a topic's messages."""
         return message_layout(self._schemas[topic])
 
     def encode_result(self, topic: str, result: EpisodeResult) -> bytes:

@@ -1,8 +1,8 @@
 """Episodes of a recording of a running graph (`roboxim bag record`), which has no task and no verdict.
 
 Such a bag has the scene, a state for each tick and perhaps images. That suffices for an episode: the action of a tick
-is what the controller commanded, the joints at its end and the opening. Whether a task was solved is unknown. A new
-scene, a lost tick and a tick of another length end an episode; what belongs to none is named.
+is the controller's command, i.e. the joints at its end and the opening. Whether a task was solved is unknown. A new
+scene, a lost tick and a tick of another length end an episode; states without an episode are reported.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Stretch:
 
 
 def is_driven(path: Path) -> bool:
-    """Tell whether a path is a bag of a running graph that is no episode.
+    """Return whether a path is a bag of a running graph that is not an episode.
 
     Raises:
         RecorderError: With code ``BAG_DAMAGED`` when it is a bag that cannot be read.
@@ -95,12 +95,12 @@ class DrivenDataset(Dataset):
 
     @property
     def splits(self) -> Mapping[str, int]:
-        """All of it is ``train``."""
+        """Number of episodes; all are in ``train``."""
         return {"train": len(self._kept)}
 
     @cached_property
     def description(self) -> Description:
-        """What its steps have."""
+        """Content of its steps."""
         first = self._kept[0]
         joints = first.states[0].robot.joint_names
         sizes = {c.name: ImageSize(height=c.height, width=c.width) for c in self._cameras(first.scene)}
@@ -152,7 +152,7 @@ class DrivenDataset(Dataset):
             else:
                 account.leaves_out("key", topic, "datasets have observations and actions only")
 
-    # ------------------------------------------------------------------ what the bag holds
+    # ------------------------------------------------------------------ content of the bag
 
     def _stretches(self) -> Iterator[Stretch]:
         """Yield the stretches of ticks with an action, and count the states that belong to none."""
@@ -210,7 +210,7 @@ class DrivenDataset(Dataset):
         return found
 
     def _like(self, one: Stretch, other: Stretch) -> bool:
-        """Tell whether two stretches fit into one dataset."""
+        """Return whether two stretches fit into one dataset."""
         mine, others = (
             (of.scene.robot.model, of.tick_ns, [(c.name, c.width, c.height) for c in self._cameras(of.scene)])
             for of in (one, other)
@@ -238,7 +238,7 @@ class DrivenDataset(Dataset):
 
 
 class _Eras:
-    """Counts how often the time of each topic started again: stamps alone do not tell two scenes apart."""
+    """Counts the restarts of each topic's time, because stamps alone do not distinguish two scenes."""
 
     def __init__(self) -> None:
         self._last: dict[str, tuple[int, int]] = {}
@@ -252,7 +252,7 @@ class _Eras:
 
 
 def _follows(run: Sequence[StateRecord], state: StateRecord) -> bool:
-    """Tell whether a state is the tick after a run's last one, of the same scene and the same length."""
+    """Return whether a state is the tick after a run's last one, of the same scene and the same length."""
     last = run[-1]
     if state.seq != last.seq + 1 or state.scene_hash != last.scene_hash or state.stamp_ns <= last.stamp_ns:
         return False

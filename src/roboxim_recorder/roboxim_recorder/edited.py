@@ -1,4 +1,4 @@
-"""Copies bags with edited messages. Everything else, undecoded, stays byte for byte; times and order stay."""
+"""Copies bags with edited messages. All other messages stay byte for byte, without decoding; times and order stay."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def copy_edited(source: Path, out: Path, edited: Collection[str], edit: Edit, *,
     """Copy a bag into a run's folder, with edited messages.
 
     Non-obvious: a notice names the checksums of its tick's images. It is written again after they are known, so the
-    copy is whole by `check_bag`, whatever the edit does to images.
+    copy passes `check_bag`, however the edit changes images.
 
     Args:
         source: The bag.
@@ -83,7 +83,7 @@ def _copy(reader: BagReader, writer: BagWriter, decoded: set[str], edit: Edit) -
 
 
 def _announce(reader: BagReader, writer: BagWriter) -> None:
-    """Announce every topic of the source, those without a message, too."""
+    """Announce every topic of the source, also those without messages."""
     with damage(reader.path), reader.file.open("rb") as stream:
         summary = SeekingReader(stream, validate_crcs=True).get_summary()
         assert summary is not None, "the reader has opened it"

@@ -1,9 +1,9 @@
 """Writes an MCAP file in compressed chunks, with the bytes that the writer of the package mcap would write.
 
 The writer of the package encodes a message field by field, copies it four times and makes a compressor for every chunk.
-In a worker that is done while the simulator waits for the interpreter. Here a message costs a header and two entries in
-lists; a chunk is joined, compressed and checked in one call each, which let other threads run. The records of which a
-file has few are encoded by the package. `tests/test_mcap_writer.py` compares the bytes.
+In a worker, the simulator waits for the interpreter meanwhile. Here a message costs a header and two list entries;
+joining, compressing and checking a chunk take one call each, which lets other threads run. The package encodes the
+records that are rare in a file. `tests/test_mcap_writer.py` compares the bytes.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class McapWriter:
 
         Args:
             stream: The file, at its beginning.
-            profile: What the file's fields follow, e.g. ``ros2``.
+            profile: Profile that the file follows, e.g. ``ros2``.
             library: The program that writes it.
         """
         self._stream, self._at, self._crc = stream, 0, 0
@@ -79,7 +79,7 @@ class McapWriter:
 
         Args:
             name: Its full name.
-            encoding: How it is described, e.g. ``ros2msg``.
+            encoding: Format of its description, e.g. ``ros2msg``.
             data: The description.
         """
         number = len(self._schemas) + 1
@@ -208,7 +208,7 @@ class _Chunk:
     def __init__(self) -> None:
         self.parts: list[Cdr] = []
         self.entries: defaultdict[int, list[int]] = defaultdict(list)
-        """Channel to the time and the place of each of its messages, one after the other."""
+        """Channel to the times and positions of its messages, alternately."""
         self.size = 0
 
     def add(self, record: bytes) -> None:

@@ -6,13 +6,13 @@ timestamps and ignored. Subscriptions are created once and kept, because matchin
 taken together when the loop's step arrives, which ends the tick: waking for each message would slow the sim down.
 
 An evaluator of the same process hands the step over by a call (`roboxim_ros.local.recording`), whose answer replaces
-the acknowledgement. Its steps that also arrive as messages, because others listen to them, are then ignored.
+the acknowledgement. The same steps may also arrive as messages, if there are other subscribers; these are then ignored.
 
-A sim of the same process, started before the recorder, shows its ticks (`roboxim_ros.local.ticks`). The recorder then
-does not subscribe to its topics; it keeps the values and makes a chunk's messages together. The evaluator's thread does
-this, and it compresses and stores the chunk while the sim computes the next tick: the other cores are idle then, and
-compressing leaves Python to the sim. A thread of the recorder's own would get Python too late, in the middle of the
-sim's drawing, which needs all cores.
+A sim of the same process, started before the recorder, provides its ticks as values (`roboxim_ros.local.ticks`). The
+recorder then does not subscribe to its topics; it keeps the values and makes a chunk's messages together. The
+evaluator's thread does this, and it compresses and stores the chunk while the sim computes the next tick: the other
+cores are idle then, and compressing leaves Python to the sim. A separate thread of the recorder would get the
+interpreter too late, while the sim draws, which needs all cores.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from roboxim_ros.on_demand import OnDemandGroup
 TICK_S = 30.0
 """Longest wait for the rest of a tick whose step has been handed over [s]."""
 RETRY_S = 0.0005
-"""Time between two looks for it [s]."""
+"""Time between two checks for it [s]."""
 _NO_WALL_TIMES: dict[str, Any] = dict.fromkeys(topics.WALL_TIMES[topics.STEP], 0.0)
 
 
@@ -64,7 +64,7 @@ class RecorderConfig:
     """Parameters of the recorder node."""
 
     output_root: str = parameter(".", "folder that every bag must be in; relative: to where the node was started")
-    """Folder that no request leads out of."""
+    """Folder that contains the bags of all requests."""
 
 
 class RecorderNode(RoboximNode):
@@ -77,7 +77,7 @@ class RecorderNode(RoboximNode):
         self._recording: EpisodeRecording | None = None
         self._failed = ""
         self._opened_ns = 0
-        self._called = False  # the open episode's steps come by calls
+        self._called = False  # whether the open episode's steps come by calls
         self._received: tuple[str, tuple[str, ...]] = ("", ())
         self._fault: RoboximError | None = None
         self._subscribed: dict[str, tuple[str, Subscription]] = {}
@@ -159,7 +159,7 @@ class RecorderNode(RoboximNode):
     def _subscribe_ticks(self, expected: Mapping[str, str]) -> None:
         """Subscribe to the topics of ticks, given with their types by their names in the bag.
 
-        Only the step wakes the node. A sim of this process shows its ticks without topics.
+        Only the step wakes the node. A sim of this process provides its ticks without topics.
         """
         local = local_ticks.announced(self.context, self._notices)
         for topic, kind in expected.items():
@@ -182,7 +182,7 @@ class RecorderNode(RoboximNode):
         self._subscribed[topic] = (kind, subscription)
 
     def _callback(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
-        def received(cdr: bytes, info: dict[str, Any]) -> None:  # two parameters: rclpy then tells the source's time
+        def received(cdr: bytes, info: dict[str, Any]) -> None:  # two parameters: rclpy then passes the source's time
             if topic == topics.STEP and self._called:
                 return
             self._on_message(topic, cdr, info["source_timestamp"])
@@ -262,7 +262,7 @@ class RecorderNode(RoboximNode):
     def _record_arriving(self, recording: EpisodeRecording, step: EpisodeStep) -> None:
         """Record the tick whose messages come from the middleware."""
         self._of_ticks.take()
-        if recording.next_seq <= step.seq:  # the message may have been faster than the first call
+        if recording.next_seq <= step.seq:  # the message may arrive before the first call
             self._on_message(topics.STEP, _step_cdr(step), self._opened_ns)
         deadline = time.monotonic() + TICK_S
         while self._fault is None and recording.next_seq <= step.seq:

@@ -2,8 +2,8 @@
 
 Messages arrive raw and in any order of topics. A tick is whole when the sim's notice of it, every message that the
 notice names, and the loop's step have arrived. It is then written in a fixed order. Undefined bytes and wall times do
-not go into a bag, so two recordings of one episode are equal, byte for byte; topics that a user adds are excepted.
-Nothing here knows rclpy.
+not go into a bag, so two recordings of one episode are equal, byte for byte; this does not hold for topics that a user
+adds. This module does not use rclpy.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def outcome_metadata(info: EpisodeInfo, result: EpisodeResult, received: Sequenc
 
 
 def _alone(method: Callable[Concatenate[EpisodeRecording, P], R]) -> Callable[Concatenate[EpisodeRecording, P], R]:
-    """Let one thread at a time use a recording."""
+    """Make a method run in one thread at a time per recording."""
 
     @wraps(method)
     def locked(self: EpisodeRecording, /, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -139,16 +139,16 @@ class EpisodeRecording:
 
     @property
     def begun(self) -> bool:
-        """Whether some messages of a tick that is not yet in the bag have come."""
+        """Whether some messages of a tick that is not yet in the bag have arrived."""
         return bool(self._steps or self._notices)
 
     @property
     def complete(self) -> bool:
-        """Whether every tick whose step has come is in the bag."""
+        """Whether every tick whose step has arrived is in the bag."""
         return not self._steps
 
     def wants(self, topic: str) -> bool:
-        """Tell whether a topic, by its name in the bag, is recorded."""
+        """Return whether a topic, by its name in the bag, is recorded."""
         return topic in self.expected or topic in self.extra
 
     @_alone
@@ -160,7 +160,7 @@ class EpisodeRecording:
             cdr: The serialised message.
 
         Returns:
-            The ticks that this message completed; they need no further message. Call `flush` after telling so.
+            The ticks that this message completed; they need no further message. Acknowledge them, then call `flush`.
 
         Raises:
             RecorderError: ``EPISODE_GAP`` when a tick needs a topic that is not recorded, ``DISK`` when it cannot be
@@ -226,7 +226,7 @@ class EpisodeRecording:
             content: Returns the tick's messages; called by this method or by `close`.
 
         Raises:
-            RecorderError: When a tick cannot be made, or what an earlier `flush` met with.
+            RecorderError: When a tick cannot be made, or an earlier `flush` failed.
         """
         self._raise_flush_error()
         extras = [self._extras.popleft() for _ in range(len(self._extras))]  # another thread may append
@@ -254,7 +254,7 @@ class EpisodeRecording:
             self._flush_due = seq % FLUSH_TICKS == 0
 
     def missing(self, seq: int) -> list[str]:
-        """Return the names of what tick ``seq`` lacks."""
+        """Return the names of the messages that tick ``seq`` lacks."""
         missing = [] if seq in self._steps else [topics.STEP]
         if seq not in self._notices:
             return [topics.NOTICE, *missing]
@@ -272,7 +272,7 @@ class EpisodeRecording:
         return self._arrived.get((topic, stamp_ns)) or self._stampless.get(topic)
 
     def _is_image(self, topic: str, stamp_ns: int, crc32: int) -> bool:
-        """Tell whether an image belongs to the tick. If not, it is of an earlier scene and is dropped."""
+        """Return whether an image belongs to the tick. If not, it is of an earlier scene and is dropped."""
         image = self._found(topic, stamp_ns)
         if image is not None and zlib.crc32(image.bytes_of("data")) == crc32:
             return True
@@ -289,9 +289,9 @@ class EpisodeRecording:
 
     @_alone
     def flush(self) -> None:
-        """Compress and store the last ticks, if it is their turn; call it when nobody waits for the recording.
+        """Compress and store the last ticks if they complete a chunk; call it while no caller waits for the recording.
 
-        An error is raised by the next `message`, `add_tick` or `close`, which somebody waits for.
+        An error is raised by the next `message`, `add_tick` or `close`.
         """
         if not self._flush_due:
             return
@@ -314,7 +314,7 @@ class EpisodeRecording:
         stamp = notice.stamp_ns
         found = {topic: self._found(topic, stamp) for topic in sorted(notice.wanted)}
         others = {topic: message for topic, message in found.items() if message is not None}
-        assert others.keys() == found.keys(), found  # `missing` looked
+        assert others.keys() == found.keys(), found  # `missing` has checked this
         self._write_tick(seq, stamp, notice.message, others, self._steps.pop(seq))
         self._arrived = {key: value for key, value in self._arrived.items() if key[1] > stamp}
 

@@ -13,7 +13,7 @@ from roboxim_recorder.bag_writer import PLACES
 
 RESULTS_FILE = "results.jsonl"
 SHOWN = 5
-"""Further names are only counted."""
+"""Number of names in a message; further ones are only counted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ def run_bags(path: Path | str) -> RunBags:
     missing = tuple(sorted(r.bag for r in results if not any((run / r.bag).glob("*.mcap"))))
     there = _bags_in(run / PLACES["keep"])
     if not there and not missing:
-        list_bags(folder)  # raises with the reason
+        list_bags(folder)  # raises an error with the reason
     return RunBags(
         paths=tuple(bag for bag in there if bag.name in kept and f"{PLACES['keep']}/{bag.name}" not in missing),
         missing=missing,
@@ -78,7 +78,7 @@ def run_bags(path: Path | str) -> RunBags:
 def read_results(run: Path) -> list[EpisodeResult]:
     """Return the results of a run, the last of each index. A torn last line (a crash) is left out.
 
-    So are episodes that their policy did not play, see `EpisodeResult.played`.
+    Episodes that their policy did not play are also left out, see `EpisodeResult.played`.
 
     Raises:
         ConfigError: When a line is not readable.
@@ -95,7 +95,7 @@ def read_results(run: Path) -> list[EpisodeResult]:
         source = f"{path} line {number}"
         data = parse_json(line, source=source)
         if isinstance(data, dict):
-            data.pop("key", None)  # the hash of what the result depends on
+            data.pop("key", None)  # the hash of everything that the result depends on
         result = from_plain(data, EpisodeResult, source=source)
         found[result.episode] = result
     return [result for result in found.values() if result.played]

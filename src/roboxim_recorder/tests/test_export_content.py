@@ -64,7 +64,7 @@ def test_a_lower_rate_recomposes_the_deltas(run, fake):
     assert rows[:, 6].tolist() == labels(fake)[last, 6].tolist()
     np.testing.assert_array_equal(steps[2].images["wrist"], fake().image("wrist", 4))
     assert [step.reward for step in steps] == [0, 0, 0, 1]
-    with pytest.raises(RecorderError, match="10 Hz, which is no whole multiple of 4 Hz"):
+    with pytest.raises(RecorderError, match="10 Hz, not a whole multiple of 4 Hz"):
         exported(run, rate_hz=4)
 
 

@@ -120,7 +120,7 @@ def test_several_runs_are_one_export_and_an_episode_counts_once(run, tmp_path, f
 
 
 def test_a_convention_excludes_the_options_that_it_says():
-    with pytest.raises(InvalidRequestError, match="says images, state, actions and rate; leave out actions, rate_hz"):
+    with pytest.raises(InvalidRequestError, match="actions and rate; leave out actions, rate_hz"):
         Selection(convention="libero", actions="rotation_6d", rate_hz=5)
 
 

@@ -16,7 +16,7 @@ from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, Unavai
 from roboxim_ros.clients import Clients, wait_until
 
 POLL_S = 0.5
-"""Time between two looks whether a goal's server is still there [s]."""
+"""Time between two checks that a goal's server is still available [s]."""
 _STATUS = {
     GoalStatus.STATUS_SUCCEEDED: "succeeded",
     GoalStatus.STATUS_ABORTED: "aborted",
@@ -72,7 +72,7 @@ class ActionCall:
             check: Called every `POLL_S`; raises to stop waiting.
 
         Raises:
-            UnavailableError: When the server does not appear, or goes away.
+            UnavailableError: When the server does not appear, or disappears.
             InvalidRequestError: When it rejects the goal.
             RequestTimeoutError: When the result does not come in time.
         """

@@ -20,7 +20,7 @@ from roboxim_core.errors import InvalidRequestError
 
 @dataclass(kw_only=True)
 class _Count:
-    """What a message has held so far."""
+    """Counts of a message's elements and characters so far."""
 
     items: int = 0
     characters: int = 0
@@ -31,7 +31,7 @@ Check = Callable[[Any, str, _Count], None]
 
 
 def check_message(message: Any) -> None:
-    """Refuse a message with a string or a sequence beyond its bound, or with too much of them together.
+    """Refuse a message with a string or a sequence beyond its bound, or with too many elements or characters in total.
 
     Raises:
         InvalidRequestError: When one is too long; the message names the field and the bound.
@@ -57,7 +57,7 @@ def _message_check(kind: Any) -> Check | None:
 
 
 def _field_check(name: str, kind: str) -> Check | None:
-    """Return the check of a field; none when the field cannot be too long.
+    """Return the check of a field; None if the field cannot be too long.
 
     Args:
         name: The field's name.

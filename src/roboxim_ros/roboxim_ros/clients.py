@@ -1,10 +1,10 @@
 """Blocking service calls from any thread, callbacks included.
 
 `Clients.call` hands the request to a node of the same process (`roboxim_ros.local.calls`), or else takes the answer
-from the middleware itself (`roboxim_ros.direct_calls`). `Clients.send_local` calls a function of the core's values that
-a node of the same process offers. Everything else on the clients' node needs an executor: subscriptions, action
-clients, rclpy's own service clients. If a callback waited for its own executor, it would wait forever. A separate
-thread therefore spins this node.
+from the middleware itself (`roboxim_ros.direct_calls`). `Clients.send_local` calls a function on plain values that a
+node of the same process offers. Everything else on the clients' node needs an executor: subscriptions, action clients,
+rclpy's own service clients. If a callback waited for its own executor, it would wait forever. A separate thread
+therefore spins this node.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class Clients:
             return self._clients[key]
 
     def wake(self) -> None:
-        """Wake the thread, so that it serves what was just created on ``node``: a subscription, an action client."""
+        """Wake the thread, so that it serves a new subscription or action client of ``node``."""
         self._executor.wake()
 
     def call(
@@ -251,8 +251,8 @@ class Clients:
     def in_thread(self, function: Callable[[], T]) -> T:
         """Call a function in the clients' thread and return its result.
 
-        For calls that are not safe beside a spinning executor. An rclpy action client registers a request only after
-        sending it: it drops an answer that arrives earlier, and the request waits forever.
+        For calls that are not safe while another thread spins the executor. An rclpy action client registers a request
+        only after sending it: it drops an answer that arrives earlier, and the request waits forever.
 
         Args:
             function: The function; it must not wait for an answer of these clients.

@@ -1,7 +1,7 @@
 """A service client whose caller takes the answer from the middleware itself.
 
 rclpy hands an answer to an executor, which runs in another thread and then wakes the caller. In lockstep this hand-over
-is a large part of a call's time. Here the calling thread waits for the one client alone.
+is a large part of a call's time. Here the calling thread waits only for its own client.
 """
 
 from __future__ import annotations

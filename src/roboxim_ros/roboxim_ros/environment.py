@@ -1,16 +1,16 @@
-"""What RoboXim's own processes need of their environment, and what of it belongs to another ROS.
+"""The environment of RoboXim's processes, without the parts that belong to another ROS.
 
-A terminal in which a ROS 2 is sourced has ``PYTHONPATH`` and ``LD_LIBRARY_PATH`` of that ROS, whose ``rclpy`` is of
-another Python. RoboXim's environment has ROS as wheels, so both are left out of its processes. An installation that was
-built with colcon has no wheels and is left as it is.
+A terminal in which a ROS 2 is sourced has the ``PYTHONPATH`` and ``LD_LIBRARY_PATH`` of that ROS, whose ``rclpy`` is
+for another Python. RoboXim's environment has ROS as wheels, so both are left out of its processes. An installation that
+was built with colcon has no wheels and is left unchanged.
 
 This module imports neither `rclpy` nor anything that another ROS could bring.
 
 Non-obvious:
 - ``LD_LIBRARY_PATH`` is read when a program starts. A program therefore starts itself again without the other ROS
-  (`start_clean`); a script that imports RoboXim can only be told (`clean_environment`).
-- The wheels put their own folders into ``LD_LIBRARY_PATH`` in no fixed order, so that another ROS is found first at
-  times only.
+  (`start_clean`); a script that imports RoboXim only gets an error (`clean_environment`).
+- The wheels put their own folders into ``LD_LIBRARY_PATH`` in no fixed order, so another ROS is found first only
+  sometimes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LEFT_OUT = "ROBOXIM_LEFT_OUT"
 
 
 def start_clean() -> None:
-    """Leave another ROS out of this program; if its libraries may be loaded already, start the program again."""
+    """Leave another ROS out of this program; restart the program if that ROS's libraries may already be loaded."""
     foreign = _foreign_libraries()
     _leave_out("PYTHONPATH", _foreign_packages())
     if foreign:
@@ -48,7 +48,7 @@ def clean_environment() -> None:
     own = next((i for i, folder in enumerate(folders) if _is_own(Path(folder))), len(folders))
     if foreign and folders.index(foreign[0]) < own:
         raise ConfigError(
-            f"LD_LIBRARY_PATH names {foreign[0]}, which has the libraries of another ROS than RoboXim's; start Python "
+            f"LD_LIBRARY_PATH names {foreign[0]}, which has the libraries of another ROS; start Python "
             "from a terminal without it: env -u LD_LIBRARY_PATH -u PYTHONPATH python ..."
         )
     _leave_out("LD_LIBRARY_PATH", foreign)

@@ -172,7 +172,7 @@ def guarded_callback(logger: RcutilsLogger, name: str, callback: Callable[..., A
 
 
 class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
-    """A node that its callbacks cannot end: services, subscriptions, timers and actions, rclpy's own included.
+    """A node that survives exceptions of its callbacks: services, subscriptions, timers and actions, also rclpy's own.
 
     Other users cannot open its participant's shared memory, unless the run is open to the network.
     """
@@ -201,7 +201,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **kwargs: Any) -> Any:
         """Publish as rclpy does, without its warnings about subscribers that ask for another QoS.
 
-        The subscriber warns too. Each warning is an entity that the executor looks at after every callback.
+        The subscriber warns too. Each warning is an entity that the executor checks after every callback.
         """
         kwargs.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
         return super().create_publisher(msg_type, topic, qos_profile, **kwargs)
@@ -236,7 +236,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
         return service
 
     def offer(self, name: str, function: Callable[..., Any], *, inline: bool = False) -> None:
-        """Offer a function to callers of this process, which call it with values; see `roboxim_ros.local.calls`.
+        """Offer a function to callers of this process, which pass plain values; see `roboxim_ros.local.calls`.
 
         Args:
             name: Name, relative to the namespace; a service of the same name serves other processes.
@@ -271,7 +271,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
         return super().create_timer(timer_period_sec, guarded, *args, **kwargs)
 
     def add_on_set_parameters_callback(self, callback: Callable[[list[Any]], SetParametersResult]) -> None:
-        """Let a callback accept or refuse new values as rclpy does; an exception refuses them."""
+        """Register a callback that checks new parameter values as rclpy does; an exception refuses them."""
 
         @functools.wraps(callback)
         def guarded(parameters: list[Any]) -> SetParametersResult:
@@ -313,7 +313,7 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
 def _guarded_execute(
     logger: RcutilsLogger, name: str, execute: Callable[[ServerGoalHandle], Any], result_type: Callable[[], Any]
 ) -> Callable[[ServerGoalHandle], Any]:
-    """Return an action's execute callback that ends the goal and answers, also when the given one raises."""
+    """Return an action's execute callback that ends the goal and answers, even if the given one raises."""
 
     def refused(goal: ServerGoalHandle, error: BaseException) -> Any:
         report(logger, error, name)

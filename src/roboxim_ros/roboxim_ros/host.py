@@ -26,7 +26,8 @@ N = TypeVar("N", bound=Node)
 ENDING_S = 60.0
 """Longest time for a node to finish its current callback at shutdown [s]."""
 SWITCH_INTERVAL_S = 0.001
-"""Longest time that a node computes while another one waits for the interpreter [s]; Python's default is 0.005."""
+"""Longest time that a node's thread holds the interpreter while another thread waits for it [s]; Python's default is
+0.005."""
 
 
 class NodeHost:
@@ -141,7 +142,7 @@ def wait_for_stop(
     Args:
         should_stop: Called every period; true ends the wait.
         period_s: The period [s].
-        on_waiting: Called once when signals are waited for, e.g. to tell that the process is ready for them.
+        on_waiting: Called once when signals are handled, e.g. to report that the process is ready for them.
 
     Returns:
         The signal's number, or 0.

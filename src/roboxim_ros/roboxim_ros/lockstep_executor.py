@@ -1,6 +1,6 @@
 """An executor that does less between two callbacks than rclpy's, for nodes that answer a few requests per tick.
 
-It also runs what other threads of the process hand it directly (`LockstepExecutor.post`), without a wait set.
+It also runs calls that other threads of the process post directly (`LockstepExecutor.post`), without a wait set.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ LOOK_S = 0.5
 
 
 class Posted(Protocol):
-    """What a thread hands to an executor."""
+    """A call that a thread posts to an executor."""
 
     @property
     def lockstep(self) -> bool:
@@ -39,11 +39,11 @@ class LockstepExecutor(SingleThreadedExecutor):
     """A `SingleThreadedExecutor` that does not wake itself after each callback, and takes posts of this process.
 
     rclpy's executors trigger a guard condition when a callback has ended, so that another thread sees that the
-    callback's group is free again. A single thread looks at the groups again anyway. The trigger would make it build
-    its wait set a second time, while it keeps the interpreter from the node whose turn it is.
+    callback's group is free again. A single thread checks the groups again anyway. The trigger would make it build its
+    wait set a second time, while the next node waits for the interpreter.
 
-    After a post in lockstep the executor waits for the next one, which costs a lock instead of a wait set, and looks at
-    the middleware every `LOOK_S` only.
+    After a post in lockstep the executor waits for the next one, which costs a lock instead of a wait set, and checks
+    the middleware only every `LOOK_S`.
     """
 
     def __init__(self, *, context: Context) -> None:
@@ -60,7 +60,7 @@ class LockstepExecutor(SingleThreadedExecutor):
         """Let the executor's thread run a call; may be used by any thread.
 
         Returns:
-            Whether it will run or be abandoned; false: the executor has been shut down.
+            Whether it was accepted (it then runs or is abandoned); false: the executor has been shut down.
         """
         with self._changed:
             if self._closed:
@@ -79,7 +79,7 @@ class LockstepExecutor(SingleThreadedExecutor):
             self._changed.notify()
 
     def wake(self) -> None:
-        """Make the executor look for new entities and at its tasks; may be used by any thread."""
+        """Make the executor check for new entities and tasks; may be used by any thread."""
         self.look()
         super().wake()
 
@@ -117,7 +117,7 @@ class LockstepExecutor(SingleThreadedExecutor):
             self._look_by = time.monotonic() + LOOK_S
 
     def _next_post(self) -> Posted | None:
-        """Return the next post; None when it is time to look at the middleware, and to wait there if there is none."""
+        """Return the next post; None: time to check the middleware, and to wait there if there is no post."""
         with self._changed:
             while not self._posts and self._expects_post and not self._closed and not self._unfinished():
                 left = self._look_by - time.monotonic()
@@ -141,7 +141,7 @@ class LockstepExecutor(SingleThreadedExecutor):
     def _trigger(self) -> None:
         guard = self._guard
         if guard:
-            with contextlib.suppress(rclpy_implementation.InvalidHandle):  # shut down meanwhile
+            with contextlib.suppress(rclpy_implementation.InvalidHandle):  # it was shut down meanwhile
                 guard.trigger()
 
     def _make_handler(self, entity: Any, node: Any, take_from_wait_list: Callable[[Any], Any]) -> Task:

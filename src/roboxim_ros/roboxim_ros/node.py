@@ -1,4 +1,4 @@
-"""The base class of all nodes: services whose errors are answers, parameters from a dataclass, blocking clients."""
+"""The base class of all nodes: services that answer errors, parameters from a dataclass, blocking clients."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ class ErrorAnswer:
         return self
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool:
-        """Fill the result; swallow every exception that `roboxim_ros.guard` catches."""
+        """Fill the result; suppress every exception that `roboxim_ros.guard` catches."""
         if not isinstance(error, CAUGHT):
             return False
         fill_error(self._result, *describe(error, self._what))

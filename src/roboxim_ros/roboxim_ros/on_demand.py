@@ -1,7 +1,7 @@
 """Subscriptions that are served only on request: messages wait in the middleware's queue until then.
 
-Waking an executor for every message is expensive. A node that needs a tick's messages together, or only the newest
-message at times, takes them when it needs them.
+Waking an executor for every message is expensive. A node that needs a tick's messages together, or only sometimes the
+newest message, takes them when it needs them.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The policy boundary: the encoding of ``DescribePolicy``, ``ResetPolicy`` and ``Act``, with server and client.
 
-`PolicyService` serves a policy from a node, behind the core's guard; it serves the expert and users' policies alike.
+`PolicyService` serves a policy from a node, behind the core's guard, whether it is the expert or a user's policy.
 `PolicyClient` calls a policy. Both sides check answers with `roboxim_core.policy_guard.checked_answer`.
 """
 
@@ -184,7 +184,7 @@ class PolicyService:
         fill_answer(response, self._act(decode_window(request, privileged=self.guard.description.privileged)))
 
     def _act(self, window: ObservationWindow) -> ActionChunk:
-        """Ask the policy, in the node's thread, or in the caller's if any thread may call it."""
+        """Request actions from the policy, in the node's thread, or in the caller's if the policy allows it."""
         with self._alone:
             return self.guard.act(window)
 
@@ -241,7 +241,7 @@ class PolicyClient:
             call = self._clients.send_local(name, window)
             if call is not None:
                 answer = checked_answer(self._clients.value_of(call, name, self._timeout_s), description)
-                if time.monotonic() > deadline:  # it was asked in this thread, which could not give up
+                if time.monotonic() > deadline:  # the policy ran in this thread, which could not give up earlier
                     label = f"policy '{description.name}'"
                     raise RequestTimeoutError(f"{label} did not answer within {self._timeout_s:g} s")
                 return answer

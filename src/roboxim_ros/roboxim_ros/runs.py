@@ -1,4 +1,4 @@
-"""Runs: one ROS domain each, access control, and a registry in which other terminals find them.
+"""Runs: each has a ROS domain, access control, and an entry in a registry in which other terminals find it.
 
 This module uses only the environment and files and does not import `rclpy`. Call it before a context is initialised.
 
@@ -115,7 +115,7 @@ def free_domain() -> Iterator[int]:
         ) from None
     try:
         yield domain
-    finally:  # without the block's exception, which the reservation would take for its own failed attempt
+    finally:  # without the block's exception, which the reservation would treat as its own failed attempt
         reservation.__exit__(None, None, None)
 
 
@@ -149,7 +149,7 @@ class Run:
     births: tuple[int, ...]
     """Start of each process in clock ticks since boot, to detect reused process ids."""
     nodes: tuple[str, ...] = ()
-    """Full names of the run's known nodes, so that discovery knows when it has seen all."""
+    """Full names of the run's known nodes, so that discovery can tell when it is complete."""
     folder: str = ""
     """Absolute path of the folder that its episodes are recorded in; empty: none."""
 
@@ -315,8 +315,8 @@ def find_run(run_id: str | None = None) -> Run:
     """Return a live run.
 
     Args:
-        run_id: Name of the run; none: ``$ROBOXIM_RUN``, else the only live run, else the only one that somebody started
-            to work with (``JOINABLE``).
+        run_id: Name of the run; none: ``$ROBOXIM_RUN``, else the only live run, else the only one of a kind in
+            ``JOINABLE``.
 
     Raises:
         ConfigError: When the run is unknown, no run is live, or several are live without a choice.

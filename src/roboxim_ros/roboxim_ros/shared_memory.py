@@ -4,9 +4,9 @@ A graph on the ``user`` transport communicates through these files only, without
 send to it or to join its domain, a process must open its ports for writing, which the kernel refuses to other users.
 
 Non-obvious:
-- Fast DDS creates the segments with mode 0644 whatever the umask: other users could read the messages. `seal` removes
-  that permission right after a participant is made. For the milliseconds in between, a waiting process of another user
-  can open a segment for reading; it can never write.
+- Fast DDS creates the segments with mode 0644 and ignores the umask: other users could read the messages. `seal`
+  removes that permission right after a participant is made. For the milliseconds in between, a waiting process of
+  another user can open a segment for reading; it can never write.
 - Another user could create a domain's ports first, so that the graph would communicate through that user's files.
   `foreign_ports` detects this, `roboxim_ros.runs.free_domain` avoids such a domain, and `seal` refuses it.
 - The superuser has full access, and so has every process that may act as this user.
@@ -80,22 +80,22 @@ def _locked(path: Path) -> bool:
 
 
 def fault_of_folder() -> str | None:
-    """Return why this process cannot make its files in `FOLDER`, with the cure; none: it can."""
-    cure = "RoboXim's nodes communicate through it alone; in Docker: --shm-size=512m"
+    """Return why this process cannot make its files in `FOLDER`, with the remedy; None: it can."""
+    cure = "RoboXim's nodes communicate only through it; in Docker: --shm-size=512m"
     if not FOLDER.is_dir() or not os.access(FOLDER, os.W_OK | os.X_OK):
         return f"the shared memory {FOLDER} cannot be written: {cure}, without a read-only mount over it"
     usage = shutil.disk_usage(FOLDER)
     if usage.free < NEEDED_BYTES:
         return (
             f"the shared memory {FOLDER} has {usage.free // 1024} of {usage.total // 1024} KiB free, a process with "
-            f"nodes needs {NEEDED_BYTES // 1024}: {cure}; 'fastdds shm clean' removes what dead processes left"
+            f"nodes needs {NEEDED_BYTES // 1024}: {cure}; 'fastdds shm clean' removes files of dead processes"
         )
     return None
 
 
 @contextmanager
 def private_files() -> Iterator[None]:
-    """Make the block create files that only this user can open, as far as their creator respects the umask."""
+    """Set a umask for the block, so that only this user can open its new files; Fast DDS partly ignores it."""
     before = os.umask(0o077)
     try:
         yield
@@ -127,7 +127,7 @@ def seal(domain: int) -> None:
 
 
 def _open_to_others(path: Path) -> bool:
-    """Tell whether a file of this user gives other users some permission."""
+    """Return whether a file of this user gives other users any permission."""
     try:
         status = path.lstat()
     except FileNotFoundError:

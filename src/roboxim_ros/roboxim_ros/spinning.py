@@ -8,7 +8,7 @@ from rclpy.node import Node
 from roboxim_ros.guard import CAUGHT, report
 
 MAX_EXECUTOR_FAILURES = 10_000
-"""Number of failures of the middleware after which a node ends: so many have a permanent cause."""
+"""Number of failures of the middleware after which a node ends, because their cause is permanent."""
 
 
 def spin(executor: Executor, node: Node) -> None:

@@ -1,4 +1,4 @@
-"""What an export's steps consist of: images, observed vectors, actions and rate, from the options or a convention.
+"""Content of an export's steps: images, observed vectors, actions and rate, from the options or a convention.
 
 Either way the content has a `Convention`, which is written beside the dataset as ``convention.yaml``: a policy that was
 trained on the dataset is evaluated by it.
@@ -47,7 +47,7 @@ from roboxim_recorder.export.fit import (
 from roboxim_recorder.export.selection import Selection, Source
 
 PREFIX = "observation/"
-"""Prefix of the request keys of observations; a dataset's keys do without it."""
+"""Prefix of the request keys of observations; a dataset's keys omit it."""
 _PARTS: Mapping[ProprioField, StatePart] = {
     ProprioField.TCP_POSITION: StatePart(field=StateField.TCP_POSITION),
     ProprioField.TCP_ROTATION_6D: StatePart(field=StateField.TCP_ROTATION, rotation=RotationRepresentation.ROTATION_6D),
@@ -68,7 +68,7 @@ Flat = TypeVar("Flat", npt.NDArray[np.float32], npt.NDArray[np.uint16])
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Content:
-    """What the steps of an export consist of."""
+    """Content of the steps of an export."""
 
     convention: Convention
     """Meaning of images, state and actions; its rate is the export's."""
@@ -107,7 +107,7 @@ class Content:
 
     @property
     def semantics(self) -> ActionSemantics | None:
-        """Meaning of the exported numbers; None: only the convention says it (it scales or orders them)."""
+        """Meaning of the exported numbers; None: only the convention defines it (it scales or orders them)."""
         return _plain_semantics(self.convention, self.actions) if self.named else self.actions
 
     @property
@@ -124,7 +124,7 @@ class Content:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """What the export leaves out because the robots have different joints."""
+        """Parts that the export leaves out because the robots have different joints."""
         return () if self.joint_names else ("joint_positions",)
 
     def kinematics(self, robot: str) -> Kinematics | None:
@@ -141,14 +141,14 @@ class Content:
 
     @cached_property
     def _images(self) -> dict[str, ImageInput]:
-        """Camera to how its images are prepared for training: without what is done to a camera's image at test time."""
+        """Camera to the preparation of its images for training, without the steps that apply only at test time."""
         return {
             image.camera: replace(image, crop_area=1.0, jpeg_quality=0, layout=Layout.HWC)
             for image in self.convention.images
         }
 
     def instruction(self, text: str) -> str:
-        """Return an instruction as it is exported: as a named convention's policy is asked."""
+        """Return an instruction as it is exported: in the prompt of a named convention, if there is one."""
         return self.convention.prompt.text(text) if self.named else text
 
     def picture(self, camera: str, image: RGBImage) -> RGBImage:
@@ -195,12 +195,12 @@ class Content:
 
 
 def content_of(sources: Sequence[Source], selection: Selection) -> Content:
-    """Return what an export of bags consists of.
+    """Return the content of an export of bags.
 
     Raises:
         ConfigError: When there is no such convention.
-        InvalidRequestError: On a camera, field or action that there is not, or that does not fit the recording.
-        RecorderError: ``EXPORT_REFUSED`` when the bags do not fit together, or not to the rate.
+        InvalidRequestError: On a camera, field or action that does not exist or does not fit the recording.
+        RecorderError: ``EXPORT_REFUSED`` when the bags do not fit together or do not fit the rate.
     """
     if selection.convention:
         content = _by_named_convention(sources, load_convention(selection.convention))
@@ -234,7 +234,7 @@ def _by_named_convention(sources: Sequence[Source], named: Convention) -> Conten
     camera_sizes(sources, tuple(keys), resized=True)
     names = {_last(state.key): state.names(joints) for state in named.states}
     vectors = {_last(state.key): _by_convention(state, convention) for state in named.states}
-    if "state" not in names:  # trainers want one vector of this name
+    if "state" not in names:  # trainers expect one vector of this name
         makers = list(vectors.values())
         names["state"] = tuple(part for parts in names.values() for part in parts) or component_names(STATE_FIELDS)
         vectors["state"] = _joined(makers) if makers else _by_fields(STATE_FIELDS)
@@ -279,7 +279,7 @@ def _ticks_per_step(recorded_hz: float, wanted_hz: float) -> int:
     every = recorded_hz / wanted_hz
     if every < 1 or abs(every - round(every)) > 1e-9:
         raise RecorderError(
-            f"the bags were recorded at {recorded_hz:g} Hz, which is no whole multiple of {wanted_hz:g} Hz; record at "
+            f"the bags were recorded at {recorded_hz:g} Hz, not a whole multiple of {wanted_hz:g} Hz; record at "
             "such a rate ('roboxim generate --rate', or rate_hz of the task), or export at a rate that divides the "
             "recorded one",
             ErrorCode.EXPORT_REFUSED,
@@ -288,7 +288,7 @@ def _ticks_per_step(recorded_hz: float, wanted_hz: float) -> int:
 
 
 def _semantics_of(text: str, base: ActionSemantics) -> ActionSemantics:
-    """Return the meaning that ``actions`` names; fields that it does not name are those of ``base``.
+    """Return the meaning that ``actions`` names; fields that it omits come from ``base``.
 
     Raises:
         InvalidRequestError: On an unknown word, or words that exclude each other.
@@ -336,7 +336,7 @@ def _fields(text: str) -> tuple[ProprioField, ...]:
 
 
 def _last(key: str) -> str:
-    """Return the name in a dataset of what a convention's request calls ``key``."""
+    """Return the dataset's name for ``key`` of a convention's request."""
     return key.rpartition("/")[2]
 
 
@@ -349,7 +349,7 @@ def _joined(makers: Sequence[Callable[[Proprioception], Floats]]) -> Callable[[P
 
 
 def _named_parts(named: Convention, names: Mapping[str, tuple[str, ...]]) -> dict[str, dict[str, tuple[int, int]]]:
-    """Return the ranges of components that a convention gives names of their own, as GR00T's do."""
+    """Return the ranges of components that a convention names separately, as GR00T's conventions do."""
     found: dict[str, dict[str, tuple[int, int]]] = {}
     if len(named.states) > 1:
         ends = np.cumsum([len(names[_last(state.key)]) for state in named.states]).tolist()
@@ -386,7 +386,7 @@ def _require_images(sources: Sequence[Source], kind: str, wanted: Sequence[str],
 
 
 def _plain_semantics(convention: Convention, actions: ActionSemantics) -> ActionSemantics | None:
-    """Return the meaning of a convention's numbers if `ActionSemantics` can say it, else None."""
+    """Return the meaning of a convention's numbers if `ActionSemantics` can express it, else None."""
     output = convention.action
     scales = {output.translation_scale_m, output.rotation_scale_rad, output.joint_scale}
     natural = output.raw_size == output.natural_size and output.order in ((), tuple(range(output.natural_size)))
@@ -409,7 +409,7 @@ def _made_convention(
     actions: ActionSemantics,
     joints: int,
 ) -> Convention:
-    """Return the convention that says what an export without a named one consists of."""
+    """Return the convention that describes an export without a named one."""
     return Convention(
         name="export",
         description="How a policy that was trained on this dataset is asked, and what its answers mean.",

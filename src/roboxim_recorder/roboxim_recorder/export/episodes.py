@@ -195,11 +195,11 @@ def _converted(source: Source, content: Content) -> tuple[Floats, Floats]:
     kinematics = content.kinematics(source.info.scene.robot.model)
     track = [ActionContext.of(observed.state, base, kinematics) for observed, _ in pairs]
     after = [replace(c, joints_after=f.state.robot.joint_commands) for c, (_, f) in zip(track, pairs, strict=True)]
-    same = (labels == executed).all(axis=1)  # elsewhere noise replaced the label, and its joints are not known
+    same = (labels == executed).all(axis=1)  # elsewhere noise replaced the label, so its joints are unknown
     known = [found if kept else context for found, context, kept in zip(after, track, same, strict=True)]
 
     def convert(rows: Rows, states: Sequence[ActionContext]) -> Rows:
-        """Convert recorded actions: the target of the last tick of a step, relative to the state before its first."""
+        """Convert recorded actions to the target of a step's last tick, relative to the state before its first tick."""
         recorded, wanted, ends = content.recorded, content.actions, [states[i] for i in last]
         if every == 1:
             return convert_rows(rows, recorded, wanted, ends)

@@ -29,7 +29,7 @@ def one_semantics(sources: Sequence[Source]) -> ActionSemantics:
     for source in sources:
         if source.info.semantics != semantics:
             raise RecorderError(
-                f"bag {source.path}: its actions mean something else than those of {sources[0].path} "
+                f"bag {source.path}: its actions have another meaning than those of {sources[0].path} "
                 f"({source.info.semantics} against {semantics}); export them apart",
                 ErrorCode.EXPORT_REFUSED,
             )
@@ -71,12 +71,12 @@ def joint_names_of(sources: Iterable[Source]) -> tuple[str, ...]:
 
 
 def require_common_space(robots: Mapping[str, Source], joints: Sequence[str], what: Mapping[str, bool]) -> None:
-    """Refuse numbers of joints in a dataset of robots whose joints differ.
+    """Refuse joint values in a dataset of robots whose joints differ.
 
     Args:
         robots: Robot model to a bag of it.
         joints: The joints that all of them have.
-        what: Part of the dataset to whether it is of joints.
+        what: Part of the dataset to whether it contains joint values.
 
     Raises:
         RecorderError: ``EXPORT_REFUSED`` naming the robots and the part.

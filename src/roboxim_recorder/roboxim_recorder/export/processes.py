@@ -1,7 +1,7 @@
 """Reads and encodes the episodes of an export in several processes.
 
-The threads of one process that decompress, convert and encode wait for the interpreter's lock. Processes do not share
-it. `make bench-export` compares both.
+In one process, the threads that decompress, convert and encode wait for the interpreter's lock, which processes do not
+share. `make bench-export` compares both.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from roboxim_recorder.export.episodes import exported_episode
 from roboxim_recorder.export.selection import Selection, Source
 
 AHEAD = 2
-"""Episodes for each process that are read before they can be written."""
+"""Number of episodes per process that are read ahead of writing."""
 Encoder = Callable[[Episode], bytes]
 
 
@@ -44,7 +44,8 @@ def add_in_processes(
     Args:
         writer: Receives the encoded episodes.
         left: Split and bag of each.
-        firsts: The first bag of each robot, the export's first bag before all: they say what its steps consist of.
+        firsts: The first bag of each robot, beginning with the export's first bag: they determine the content of its
+            steps.
         config: The export's configuration.
         workers: Number of processes.
 
@@ -84,7 +85,7 @@ _encoder: Encoder
 
 
 def _start(firsts: Sequence[Source], config: Selection, encoder: Encoder) -> None:
-    """Prepare a process: Ctrl-C is its parent's to handle, and it ends when its parent does."""
+    """Prepare a process: its parent handles Ctrl-C, and it ends when its parent does."""
     global _content, _encoder
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()

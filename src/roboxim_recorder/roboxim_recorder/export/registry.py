@@ -1,8 +1,9 @@
 """Dataset formats that bags are exported to, by name.
 
 An exporter is one file: a configuration (a subclass of `Selection` with the format's options) and an `Exporter`
-registered under the format's name. `export_bags` does the rest. Of a format of `roboxim_datasets.registry.FORMATS` the
-exporter is a `FormatExporter`. Another distribution adds one through the entry point group ``roboxim.exporter``.
+registered under the format's name. `export_bags` does the rest. The exporter of a format of
+`roboxim_datasets.registry.FORMATS` is a `FormatExporter`. Another distribution adds an exporter through the entry point
+group ``roboxim.exporter``.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ EXPORTERS: Registry[type[Exporter]] = Registry("exporter")
 
 @EXPORTERS.conformance
 def says_what_it_writes(name: str, item: type[Exporter]) -> None:
-    """Refuse a format that the command line could not offer: it needs help, a configuration, methods."""
+    """Refuse a format that lacks a part for the command line: help, configuration or methods."""
     assert (item.__doc__ or "").strip(), "it has no docstring, whose first line is the command line's help"
     exporter = item()
     assert isinstance(exporter.config, type), "config is no class"

@@ -40,7 +40,7 @@ MANY_EPISODES = 100
 
 @dataclass(frozen=True, kw_only=True)
 class ExportReport:
-    """What was exported."""
+    """Result of an export."""
 
     path: Path
     """The dataset."""
@@ -78,16 +78,16 @@ def export_bags(
 ) -> ExportReport:
     """Export runs' folders, folders of bags or bags.
 
-    An interrupted export continues where it stopped; the dataset gets its final name only when it is whole. Equal bags
-    and configuration give equal bytes.
+    An interrupted export continues where it stopped; the dataset gets its final name only when it is complete. Equal
+    bags and configuration give equal bytes.
 
     Args:
         name: Registered format, e.g. ``rlds``.
         source: Path of the bags, or several paths; bags in ``set_apart`` are ignored.
         target: Folder that the dataset is written into.
         config: Configuration, of the format's class; None: the defaults.
-        if_exists: Whether an existing dataset is an error, is replaced when the new one is whole, or is left as it is
-            when it is of the same bags and configuration (an error otherwise).
+        if_exists: Whether an existing dataset is an error, is replaced when the new one is complete, or is left
+            unchanged if it has the same bags and configuration (else an error).
         workers: Processes that read and encode episodes, for formats that allow it (RLDS); 0: one for each core if
             there are many episodes. With several, the calling script needs a main guard, as for `multiprocessing`.
         progress: Called with the episodes done and their total.

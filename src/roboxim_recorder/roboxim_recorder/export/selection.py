@@ -19,7 +19,7 @@ from roboxim_recorder.run_bags import RunBags
 
 @dataclass(frozen=True, kw_only=True)
 class Selection:
-    """What goes into an export; a format's own configuration is a subclass with the format's fields.
+    """Selection of an export's content; a format's own configuration is a subclass with the format's fields.
 
     Filters apply in the order of the fields ``only_successful``, ``keep_recovered``, ``where``, ``per_cell``,
     ``split``, ``shard``.
@@ -46,9 +46,9 @@ class Selection:
     """Whether to export episodes in which the actor had to try again, e.g. needed a second grasp; a condition on
     ``recovered`` replaces it."""
     where: tuple[str, ...] = ()
-    """Condition that every episode meets: ``KEY=VALUE[,VALUE...]``, ``KEY!=VALUE``, ``KEY<NUMBER``. Keys: ``skill``,
-    ``object``, ``target``, ``target.color``, ``camera``, ``outcome``, ``steps``, ``cell``, ``drawn.NAME``, ...; see
-    `roboxim_recorder.export.where`."""
+    """Conditions that every episode must meet: ``KEY=VALUE[,VALUE...]``, ``KEY!=VALUE``, ``KEY<NUMBER``. Keys:
+    ``skill``, ``object``, ``target``, ``target.color``, ``camera``, ``outcome``, ``steps``, ``cell``, ``drawn.NAME``,
+    ...; see `roboxim_recorder.export.where`."""
     per_cell: int = 0
     """Number of episodes of each cell, the first ones that pass the filters; 0: all. A cell is that of the task's mix,
     else the skill."""
@@ -67,7 +67,7 @@ class Selection:
     """Fields of ``state``, e.g. ``tcp_position,tcp_quaternion_xyzw,gripper_opening``; see
     `roboxim_core.proprioception.ProprioField`. Empty: ``tcp_position,tcp_rotation_6d,gripper_opening``."""
     convention: str = ""
-    """Convention, a name or a YAML file, that says images, state, actions and rate, e.g. ``libero``; 'roboxim policy
+    """Convention (a name or a YAML file) that defines images, state, actions and rate, e.g. ``libero``; 'roboxim policy
     conventions' lists them. Empty: the fields above do."""
 
     def __post_init__(self) -> None:
@@ -100,7 +100,7 @@ class Selection:
         }  # fmt: skip
         if self.convention and (twice := [name for name, value in given.items() if value]):
             raise InvalidRequestError(
-                f"the convention '{self.convention}' says images, state, actions and rate; leave out "
+                f"the convention '{self.convention}' defines images, state, actions and rate; leave out "
                 f"{', '.join(twice)}, or write a convention of your own"
             )
 
@@ -124,7 +124,7 @@ class Source:
 
 @dataclass(frozen=True, kw_only=True)
 class Chosen:
-    """Bags to export, and what became of the others."""
+    """Bags to export, and the reasons for leaving out the others."""
 
     splits: dict[str, tuple[Source, ...]]
     """Split to its bags, in order."""
@@ -153,7 +153,7 @@ def choose(runs: Sequence[RunBags], selection: Selection) -> Chosen:
         InvalidRequestError: On a condition that no episode can meet, or counts that exceed the episodes.
         RecorderError: ``EXPORT_REFUSED`` when bags are missing, none can be exported, an episode occurs twice, or the
             cells of a mix have different numbers of episodes; ``BAG_DAMAGED`` naming a bag that cannot be read, or that
-            holds another episode than it should.
+            holds an unexpected episode.
     """
     missing = [bag for run in runs for bag in run.missing]
     for run in runs:
@@ -235,7 +235,7 @@ def _filtered(sources: Sequence[Source], selection: Selection, left_out: Counter
 
 
 def _refusal(result: EpisodeResult, selection: Selection, named: set[str]) -> str:
-    """Return why an episode is left out, conditions aside; empty: it is not."""
+    """Return why an episode is left out, apart from conditions; empty: it is not left out."""
     if selection.only_successful and not named & {"outcome", "reason"} and result.outcome != "success":
         return result.reason or result.outcome
     if result.recovered and not selection.keep_recovered and "recovered" not in named:
@@ -310,7 +310,7 @@ def _counted(total: int, wanted: Mapping[str, int]) -> list[str]:
         )
     counts = {name: count for name, count in wanted.items() if count}
     counts[next((name for name, count in wanted.items() if not count), "")] = total - fixed
-    # The n-th episode of a split stands at the middle of the n-th of equal parts of the whole order.
+    # The n-th episode of a split is at the middle of the n-th of equal parts of the whole order.
     places = [((at + 0.5) / count, name) for name, count in counts.items() for at in range(count)]
     return [name for _, name in sorted(places, key=lambda place: place[0])]
 

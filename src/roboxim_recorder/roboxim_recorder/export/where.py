@@ -19,7 +19,7 @@ from roboxim_core.plain_data.documents import read_text
 from roboxim_core.seeds import CELL
 
 Fact = tuple[str, ...]
-"""Values of a key, as text; several, e.g. of ``object``, if the episode has several."""
+"""Values of a key, as text; several if the episode has several, e.g. of ``object``."""
 _CONDITION = re.compile(r"\s*([A-Za-z_][\w.]*)\s*(!=|<=|>=|=|<|>)\s*(.*?)\s*")
 _ORDER: dict[str, Callable[[float, float], bool]] = {
     "<": operator.lt,
@@ -38,14 +38,14 @@ class Condition:
     sign: str
     """The operator."""
     values: tuple[str, ...]
-    """Values to compare with; one for an order."""
+    """Values to compare with; one for an order comparison."""
 
     @staticmethod
     def parse(text: str) -> Condition:
         """Read a condition.
 
         Raises:
-            InvalidRequestError: When the text is none.
+            InvalidRequestError: When the text is not a condition.
         """
         found = _CONDITION.fullmatch(text)
         if not found or not found[3]:
@@ -74,7 +74,7 @@ def with_files(texts: Iterable[str]) -> tuple[str, ...]:
 
     Raises:
         ConfigError: When a file cannot be read.
-        InvalidRequestError: When a line is no condition; names the line.
+        InvalidRequestError: When a line is not a condition; names the line.
     """
     found: list[str] = []
     for text in texts:
@@ -128,7 +128,7 @@ def _number(text: str) -> float | None:
 
 
 def facts_of(info: EpisodeInfo, result: EpisodeResult) -> dict[str, Fact]:
-    """Return what conditions can ask of an episode, all of it known before its ticks are read.
+    """Return the facts of an episode that conditions can use; all are known before its ticks are read.
 
     ``object`` has the models of the task's objects. A role (``target``) has its model, ``target.color`` a modifier of
     it. ``camera`` has the names of the cameras, ``drawn.<name>`` a drawn parameter, ``argument.<name>`` an argument.

@@ -1,1 +1,1 @@
-"""Whether a bag is whole, and what is saved of a damaged one."""
+"""Checks that bags are whole, and repair of damaged ones."""

@@ -27,9 +27,9 @@ from roboxim_recorder.recording import outcome_metadata
 from roboxim_ros.messages.conversions import from_msg
 
 MOST_PROBLEMS = 50
-"""Further problems of a bag are only counted."""
+"""Number of problems that are listed; further ones are only counted."""
 MOST_NAMES = 3
-"""Further differences of names and descriptions that another program caused are only counted."""
+"""Number of listed differences in names and descriptions that another program caused; further ones are only counted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +45,11 @@ class BagReport:
     outcome: str = ""
     """``success``, ``failure`` or ``error``; empty when not readable."""
     reason: str = ""
-    """Why it is not a success."""
+    """Reason why it is not a success."""
     problems: tuple[str, ...] = ()
     """What is wrong; empty: the bag is whole."""
     notes: tuple[str, ...] = ()
-    """What another program changed when it wrote the bag again, and no reader needs; empty: the recorder wrote it."""
+    """Changes by another program that wrote the bag again, which affect no reader; empty: the recorder wrote it."""
     foreign: bool = False
     """Whether it is a bag of another system, which holds no episode."""
 
@@ -146,7 +146,7 @@ class _BagCheck:
         self._note(names)
 
     def _note(self, names: list[str]) -> None:
-        """Note what another program has changed and no reader needs."""
+        """Note changes by another program that affect no reader."""
         self.notes.append(f"written again by {limits.printable(self._reader.library) or 'another program'}")
         if not self._reader.metadata:
             self.notes.append("without the metadata record, which repeats what its messages say")
@@ -175,7 +175,7 @@ class _BagCheck:
             yield from self._check.message(topic, message)
 
     def _end_problems(self) -> Iterator[str]:
-        """Yield where the result differs from the messages."""
+        """Yield differences between the result and the messages."""
         check, result = self._check, self.result
         if check is not None:
             yield from check.end_problems()
@@ -186,7 +186,7 @@ class _BagCheck:
         yield from check.result_problems(result)
 
     def _metadata_problems(self) -> Iterator[str]:
-        """Yield where the metadata record differs from the messages."""
+        """Yield differences between the metadata record and the messages."""
         check, result = self._check, self.result
         if check is None or result is None:
             return
@@ -200,7 +200,7 @@ class _BagCheck:
                 yield f"its metadata record has {key} {found.get(key)!r}, expected {wanted.get(key)!r}"
 
     def _name_problems(self) -> Iterator[str]:
-        """Yield where the names of folder and file differ from the episode."""
+        """Yield differences between the names of folder and file and the episode."""
         if self.info is None:
             return
         file, name = self._reader.file.absolute(), self.info.episode_id
@@ -212,13 +212,13 @@ class _BagCheck:
             yield f"its file is named {file.name}, expected {mcap_name(name)}"
 
     def _count_problems(self) -> Iterator[str]:
-        """Yield where the summary counts other messages than there are."""
+        """Yield differences between the summary's counts and the messages."""
         for topic, count in self._reader.counts.items():
             if count != self._counts[topic]:
                 yield f"its summary counts {count} messages on {topic}, there are {self._counts[topic]}"
 
     def _description_problems(self) -> Iterator[str]:
-        """Yield where ``metadata.yaml`` differs from the messages."""
+        """Yield differences between ``metadata.yaml`` and the messages."""
         reader = self._reader
         reader = self._reader
         described = {

@@ -1,9 +1,10 @@
 """Verifies a bag's files without decoding messages: the sections of the MCAP file, and ``metadata.yaml``.
 
 Two checksums cover an MCAP file: one from the file's start to the end of its data section, one from the start of its
-summary to its footer. What lies between and behind them is fixed. So no byte of the recorder's files can change
-unnoticed. A checksum of 0 means "not available": other programs write none, and then the checksums of the chunks and
-the messages are what `roboxim_recorder.integrity.check` can check. A file of the recorder has both.
+summary to its footer. The bytes between and after these ranges are fixed, so no byte of the recorder's files can change
+unnoticed. A checksum of 0 means "not available": for files of other programs, which write none,
+`roboxim_recorder.integrity.check` can check only the checksums of the chunks and the messages. A file of the recorder
+has both.
 
 Source: MCAP format specification, version 0.
 """
@@ -28,7 +29,7 @@ _FOOTER = struct.Struct("<BQQQI")
 _DATA_END = struct.Struct("<BQI")
 """Opcode, length, checksum."""
 LONGEST_METADATA = 256 << 10
-"""A longer ``metadata.yaml`` is not parsed [B]."""
+"""Largest ``metadata.yaml`` that is parsed [B]."""
 
 
 def container_problems(data: memoryview) -> Iterator[str]:
@@ -78,7 +79,7 @@ def _library(data: memoryview) -> bytes:
 
 
 def metadata_problems(folder: Path, expected: Mapping[str, Any]) -> Iterator[str]:
-    """Yield where a bag's ``metadata.yaml`` differs from what the MCAP file holds.
+    """Yield differences between a bag's ``metadata.yaml`` and its MCAP file.
 
     Args:
         folder: The bag's folder.
@@ -96,7 +97,7 @@ def metadata_problems(folder: Path, expected: Mapping[str, Any]) -> Iterator[str
         yield f"its {METADATA_FILE} has {len(content)} bytes, which cannot be"
         return
     try:
-        found = yaml.safe_load(content)  # not the C parser, which a deep nesting crashes
+        found = yaml.safe_load(content)  # not the C parser, which crashes on deep nesting
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
         yield f"its {METADATA_FILE} is not readable YAML ({str(error).splitlines()[0] if str(error) else 'too deep'})"
         return

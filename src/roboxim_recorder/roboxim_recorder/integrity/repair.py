@@ -1,10 +1,10 @@
 """Repairs damaged bags: saves the whole ticks before the first gap as a new bag.
 
-An episode without gaps is all that a reader can use, so the new bag ends at the first gap. What can be read behind it
-is counted and reported. The original is only read.
+Readers need an episode without gaps, so the new bag ends at the first gap. Readable ticks after it are counted and
+reported. The original is only read.
 
-A bag that has lost its result gets a new one: outcome ``error``, reason `OUTCOME_UNKNOWN`. So no export takes it for a
-success, unless the saved actions are executed and judged again (`Rejudge`).
+A bag that has lost its result gets a new one: outcome ``error``, reason `OUTCOME_UNKNOWN`. No export then counts it as
+a success, unless the saved actions are executed and judged again (`Rejudge`).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ Rejudge = Callable[[EpisodeInfo, Sequence[StateRecord]], Verdict | None]
 
 @dataclass(frozen=True, kw_only=True)
 class RepairReport:
-    """What a repair has saved and what is lost."""
+    """Saved and lost parts of a bag."""
 
     source: Path
     """The bag."""
@@ -60,9 +60,9 @@ class RepairReport:
     kept: int = 0
     """Ticks saved: all before the first gap."""
     lost: int = 0
-    """Ticks of the episode that are not saved, as far as the rest of the file tells: a lower bound."""
+    """Ticks of the episode that are not saved, as far as the rest of the file shows: a lower bound."""
     behind: int = 0
-    """Ticks among the lost ones that are readable but lie behind the gap."""
+    """Lost ticks that are readable but come after the gap."""
     total_bytes: int = 0
     """Size of the damaged MCAP file [B]."""
     damaged_bytes: int = 0
@@ -76,7 +76,7 @@ class RepairReport:
 
     @property
     def text(self) -> str:
-        """One line: what is saved and what is lost."""
+        """Saved and lost parts in one line."""
         if self.state == "nothing":
             return f"nothing can be saved: {self.reasons[-1]}"
         ticks = f"{self.kept} of {self.kept + self.lost} ticks"
@@ -126,7 +126,7 @@ def _whole(report: BagReport) -> RepairReport:
 
 @dataclass
 class _Found:
-    """What one reading of a damaged file has found."""
+    """Findings of one reading of a damaged file."""
 
     damages: list[Damage] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -142,17 +142,17 @@ class _Found:
     step: EpisodeStep | None = None
     """Step of the last of them."""
     facts: dict[str, Any] = field(default_factory=dict)
-    """What the kept ticks say about the result."""
+    """The result, as far as it follows from the kept ticks."""
     gap: bool = False
     """Whether a tick is lost."""
     result: EpisodeResult | None = None
-    """The result, if it is readable; behind a gap it is of the longer episode."""
+    """The result, if it is readable; after a gap it describes the longer episode."""
     result_cdr: bytes = b""
-    """The same as it was recorded."""
+    """The recorded result as a serialised message."""
     behind: int = 0
-    """Ticks behind the gap of which the step is readable."""
+    """Number of ticks after the gap with a readable step."""
     last_seq: int = -1
-    """Last tick of which anything is readable."""
+    """Last tick with any readable message."""
 
     @property
     def whole(self) -> bool:
@@ -213,7 +213,7 @@ class _Repair:
         return self._report_of(found, result, file.stat().st_size, target)
 
     def _write(self, file: Path, data: Bytes, folder: Path, rejudge: Rejudge | None) -> tuple[_Found, EpisodeResult]:
-        """Write the new bag: what is kept, its result, its metadata record."""
+        """Write the new bag: the kept ticks, the result, the metadata record."""
         found = _Found()
         bag: McapFile | None = None
         stamp_ns = 0
@@ -273,7 +273,7 @@ class _Repair:
 
 
 class _Reading:
-    """One reading of a damaged file: decides message by message what is kept."""
+    """One reading of a damaged file: decides for each message whether it is kept."""
 
     def __init__(self, found: _Found, file: Path) -> None:
         self._found, self._file = found, file
@@ -306,7 +306,7 @@ class _Reading:
                 self._found.types.setdefault(record.topic, self._schemas[record.schema_id])
 
     def _take(self, topic: str, message: Message) -> Iterator[tuple[str, Message]]:
-        """Take the next message; yield what it completes."""
+        """Take the next message; yield the messages of a tick that it completes."""
         found = self._found
         if found.check is None:
             if topic == topics.INFO and not found.gap:
@@ -396,7 +396,7 @@ def _result(found: _Found, rejudge: Rejudge | None) -> EpisodeResult:
 
 
 def _ends_chunk(bag: McapFile) -> bool:
-    """Whether the recorder ends a chunk behind the newest tick, so that a repaired bag has the same chunks."""
+    """Whether the recorder ends a chunk after the newest tick, so that a repaired bag has the same chunks."""
     ticks = bag.counts[topics.STEP]
     return not ticks or (ticks - 1) % FLUSH_TICKS == 0
 
@@ -411,7 +411,7 @@ def _require_whole(folder: Path) -> None:
 
 
 def _publish(new: Path, target: Path) -> None:
-    """Give the new bag its final place; an equal one that is there already stays."""
+    """Give the new bag its final place; an equal one that already exists stays."""
     if not target.exists():
         target.parent.mkdir(parents=True, exist_ok=True)
         new.rename(target)

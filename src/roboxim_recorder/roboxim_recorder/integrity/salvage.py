@@ -1,8 +1,8 @@
-"""Reads what a damaged MCAP file still holds: the chunks whose checksum is right, and where the rest is damaged.
+"""Reads the intact chunks of a damaged MCAP file, i.e. those with a correct checksum, and locates the damage.
 
-Nothing here trusts the file's structure. Chunks are found by the name of their compression, not by following lengths
-and offsets, so that a damaged length, index or chunk does not hide what lies behind it. A chunk's content is used only
-when its CRC-32 is right: a changed byte never reaches a message.
+This module does not rely on the file's structure. Chunks are found by the name of their compression, not by following
+lengths and offsets, so that a damaged length, index or chunk does not hide the chunks after it. A chunk's content is
+used only if its CRC-32 is correct: a changed byte never reaches a message.
 
 Non-obvious: the recorder writes zstd chunks with checksums; a file without them has nothing to salvage.
 """
@@ -27,12 +27,12 @@ from roboxim_recorder.chunks import LARGEST_CHUNK
 _COMPRESSION = b"\x04\x00\x00\x00zstd"
 """Length and name of a chunk's compression, as every chunk of the recorder has them."""
 _PREFIX = struct.Struct("<BQQQQI")
-"""What precedes them: opcode, length, first and last time, size and checksum of the decompressed records."""
+"""Fields before them: opcode, length, first and last time, size and checksum of the decompressed records."""
 _LENGTH = struct.Struct("<Q")
 _RECORD = struct.Struct("<BQ")
 """Opcode and length of any record."""
 _OUTSIDE = frozenset(Opcode) - {Opcode.CHUNK, Opcode.MESSAGE}
-"""Records that lie between chunks or behind them."""
+"""Records between chunks or after them."""
 Bytes = bytes | mmap.mmap
 
 
@@ -92,7 +92,7 @@ def _chunks(data: Bytes) -> Iterator[SalvagedChunk]:
 def _chunk(data: Bytes, start: int) -> SalvagedChunk | None:
     """Return the chunk that begins at a byte; None: there is none, or it is damaged.
 
-    Its opcode, length and times are not read: the checksum tells whether the records are right.
+    Its opcode, length and times are not read: the checksum shows whether the records are intact.
     """
     size_at = start + _PREFIX.size + len(_COMPRESSION)
     if size_at + _LENGTH.size > len(data):
@@ -147,7 +147,7 @@ def _between(data: Bytes, start: int, end: int, *, last: bool) -> Iterator[Damag
 
 
 def _what(data: Bytes, at: int, stop: int, *, last: bool) -> str:
-    """Return what is wrong with the record at a byte."""
+    """Return the fault of the record at a byte."""
     if last and stop - at < _RECORD.size:
         return "the file ends within a record"
     opcode, length = _RECORD.unpack_from(data, at) if stop - at >= _RECORD.size else (0, 0)

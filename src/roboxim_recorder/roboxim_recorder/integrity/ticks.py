@@ -1,4 +1,4 @@
-"""Checks an episode's messages tick by tick: the same check for whole bags and for what is left of damaged ones."""
+"""Checks an episode's messages tick by tick: the same check for whole and for damaged bags."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class TickCheck:
 
     @property
     def result_facts(self) -> dict[str, object]:
-        """What the ticks say about the episode's result: field to value."""
+        """Fields of the episode's result that follow from the ticks, with their values."""
         return {
             "episode_id": self.info.episode_id,
             "index": self.info.index,
@@ -126,7 +126,7 @@ class TickCheck:
         }
 
     def result_problems(self, result: EpisodeResult) -> Iterator[str]:
-        """Yield where the episode's result differs from its ticks."""
+        """Yield differences between the episode's result and its ticks."""
         for name, value in self.result_facts.items():
             found = getattr(result, name)
             if found != value:
@@ -135,6 +135,6 @@ class TickCheck:
             yield f"its result is that of the bag {result.bag}"
 
     def end_problems(self) -> Iterator[str]:
-        """Yield that the messages end within a tick."""
+        """Yield a fault if the bag ends within a tick."""
         if self._tick:
             yield f"it ends within tick {self.ticks}: {', '.join(sorted(self._tick))}"

@@ -1,16 +1,16 @@
 """Calls between nodes of one process, without the middleware.
 
-A node offers a function of the core's values to its process (`LocalFunction`). A caller of the same process hands the
+A node offers a function on plain values to its process (`LocalFunction`). A caller of the same process hands the
 arguments to the thread that spins the node, and gets the returned value. Nothing is converted or serialised, and no
-wait set is built. Values are shared, so neither side may change what it has handed over: frozen dataclasses, and arrays
-that are read-only or given away.
+wait set is built. Values are shared, so neither side may change a value after handing it over. Suitable are frozen
+dataclasses, and arrays that are read-only or no longer used by the sender.
 
 Services are offered in the same way (`LocalService`): the handler gets the caller's request, and the caller the
-handler's response. Whoever has handed one over may not use it again.
+handler's response. The sender may not use a request or response after handing it over.
 
-The node needs a `LockstepExecutor`. What is offered *inline* runs in the caller's thread instead, which saves two
-changes of threads and works with any executor. It must be safe beside what the node's thread does, and it ends no
-earlier than it wants: the caller's time-out does not apply.
+The node needs a `LockstepExecutor`. An *inline* function runs in the caller's thread instead, which saves two changes
+of threads and works with any executor. It must be safe to run while the node's thread is working, and the caller's
+time-out does not apply to it.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from roboxim_core.errors import ErrorCode
 from roboxim_ros.lockstep_executor import LockstepExecutor
 
 Describe = Callable[[BaseException], tuple[ErrorCode, str] | None]
-"""Returns the code and the message that answer an exception; None: it is not to be caught."""
+"""Returns the code and the message that answer an exception; None: do not catch it."""
 
 
 class _Offer:
-    """What a node of this process offers."""
+    """A function or service that a node of this process offers."""
 
     lockstep = True
     """Whether a call is one of a series, for which the node's executor leaves the middleware for a while."""
@@ -43,11 +43,11 @@ class _Offer:
         """Whether the node still serves."""
 
     def belongs_to(self, node: Node) -> bool:
-        """Tell whether a node offers it."""
+        """Return whether a node offers it."""
         return self._node() is node
 
     def answer(self, call: LocalCall, arguments: tuple[Any, ...]) -> None:
-        """Call what is offered, and keep its value or its error in the call."""
+        """Run the call, and store its value or its error in it."""
         raise NotImplementedError
 
     def _sent(self, *arguments: Any) -> LocalCall | None:
@@ -111,7 +111,7 @@ class LocalFunction(_Offer):
         Args:
             node: The node that offers it.
             function: The function.
-            describe: Called with what the function raises.
+            describe: Called with an exception of the function.
             inline: See the module.
         """
         super().__init__(node, inline=inline)
@@ -144,13 +144,13 @@ class LocalCall:
         self._ended = threading.Lock()
         self._ended.acquire()
         self.served = False
-        """Whether the function has returned or raised; false after the end: the node has ended."""
+        """Whether the function has returned or raised; false after the end of the call: the node has ended."""
         self.value: Any = None
-        """What it has returned."""
+        """Returned value."""
         self.error_code, self.error_msg = ErrorCode.OK, ""
 
     def __call__(self) -> None:
-        """Call what is offered; the executor does this, or the caller if it is inline."""
+        """Run the call; the executor does this, or the caller if it is inline."""
         try:
             self._offer.answer(self, self._arguments)
         finally:
@@ -209,7 +209,7 @@ def offer(node: Node, name: str, function: Callable[..., Any], describe: Describ
 
 
 def withdraw(node: Node) -> None:
-    """Remove what a node offers."""
+    """Remove everything that a node offers."""
     with _lock:
         for registry in (_services, _functions):
             offered: dict[str, Any] = registry.get(node.context, {})

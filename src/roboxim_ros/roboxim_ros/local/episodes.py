@@ -1,4 +1,4 @@
-"""Episodes as one call, for a caller in the process of the evaluator.
+"""Several episodes in one call, for a caller in the evaluator's process.
 
 Other processes use the action and the service of the same name.
 """

@@ -16,4 +16,4 @@ RECORD_ARRIVING = "recorder/record_arriving"
 """Name of the function that takes the step of a tick whose messages come from the middleware."""
 RECORD_RECEIVED = "recorder/record_received"
 """Name of the function that takes an episode's id and the instructions that its policy was given, before the bag is
-closed. There is no message for them: the bag of a recorder in another process does not tell them."""
+closed. There is no message for them: a recorder in another process does not store them."""

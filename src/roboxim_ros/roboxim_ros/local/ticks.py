@@ -1,6 +1,6 @@
 """The newest tick of a sim of this process: nodes of the same process take it from here, as values.
 
-Everybody else gets the tick's messages from the middleware.
+All other nodes get the tick's messages from the middleware.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ class LocalTick:
     """Images by camera name; the arrays are read-only."""
     messages: Callable[[], Mapping[str, memoryview]]
     """Returns topic, relative to the graph's namespace, to the serialised message; the notice is last. Any thread may
-    call it. The messages are made by the first call, so a tick costs none if nobody needs them."""
+    call it. The first call makes the messages, so unused messages cost nothing."""
 
 
 _ticks: weakref.WeakKeyDictionary[Context, dict[str, LocalTick | None]] = weakref.WeakKeyDictionary()
 
 
 def announce(context: Context, notices: str) -> None:
-    """Say that a sim of this process will show its ticks.
+    """Announce that a sim of this process will provide its ticks.
 
     Args:
         context: Context of the sim.
@@ -47,17 +47,17 @@ def show(context: Context, notices: str, tick: LocalTick) -> None:
 
 
 def withdraw(context: Context, notices: str) -> None:
-    """Say that the sim has ended; see `announce`."""
+    """Report that the sim has ended; see `announce`."""
     _ticks.get(context, {}).pop(notices, None)
 
 
 def announced(context: Context, notices: str) -> bool:
-    """Tell whether a sim of this process shows its ticks; see `announce`."""
+    """Return whether a sim of this process provides its ticks; see `announce`."""
     return notices in _ticks.get(context, {})
 
 
 def newest(context: Context, notices: str) -> LocalTick | None:
-    """Return the newest tick; None: no sim of this process has shown one.
+    """Return the newest tick; None: no sim of this process has provided one.
 
     Args:
         context: Context of the caller.

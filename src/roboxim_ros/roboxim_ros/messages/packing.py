@@ -1,8 +1,8 @@
-"""Serialises dataclasses as messages, by functions that are made once for each pair of both.
+"""Serialises dataclasses as messages, by functions that are made once for each pair of dataclass and message type.
 
 Such a function collects the numbers and texts of a dataclass in the order of the message's fields, and the sizes of its
-texts and sequences. The sizes decide where everything lies, so one `struct.Struct` serves all values of equal sizes: an
-episode's ticks share a few. Filling a message of `rosbags` first and walking over it takes three times as long.
+texts and sequences. The sizes determine all positions, so one `struct.Struct` serves all values of equal sizes: an
+episode's ticks share a few. Filling a message of `rosbags` first and traversing it takes three times as long.
 
 Source of the layout: OMG DDS-XTypes 1.3, section 7.4.1 (plain CDR, version 1).
 """
@@ -36,10 +36,10 @@ _SEQUENCES = {(float, "float64"), (int, "uint32"), (str, "string")}
 
 
 def packer(cls: type, name: str, store: Typestore) -> Packer:
-    """Return what serialises a dataclass, by the rules of `roboxim_ros.messages.conversions.to_msg`.
+    """Return a function that serialises a dataclass by the rules of `roboxim_ros.messages.conversions.to_msg`.
 
-    Enums are texts, poses messages of their own, dictionaries lists of ``NamedValue``. A header and a time that the
-    dataclass lacks are made of its ``stamp_ns``, the header's frame of its ``frame_id`` if it has one. Padding is 0;
+    Enums are texts, poses messages of their own, dictionaries lists of ``NamedValue``. A header or a time that the
+    dataclass lacks is made from its ``stamp_ns``, the header's frame from its ``frame_id`` if it has one. Padding is 0;
     nothing follows the last field.
 
     Args:
@@ -68,17 +68,17 @@ def _packer(cls: type, name: str, store: Typestore) -> Packer:
 
 @lru_cache(maxsize=1024)
 def _encoded(texts: Sequence[str]) -> tuple[tuple[int, ...], tuple[int | bytes, ...]]:
-    """Return the sizes of texts with the zeros at their ends, and the values to write: sizes and texts by turns."""
+    """Return the sizes of texts with their final zeros, and the values to write: sizes and texts alternately."""
     found = [text.encode() for text in texts]
     sizes = tuple(len(one) + 1 for one in found)
     return sizes, tuple(part for size, one in zip(sizes, found, strict=True) for part in (size, one))
 
 
-# ------------------------------------------------------------------------- what lies where
+# ------------------------------------------------------------------------- layout
 
 
 class _Layout:
-    """Where the fields of a message lie, by the sizes of its texts and sequences.
+    """Positions of a message's fields, by the sizes of its texts and sequences.
 
     The layout is a list of steps: a code of `struct` for a number; `TEXT`; ``(code, None)`` for a sequence of numbers,
     `TEXTS` for one of texts, and ``("", steps)`` for one of messages.
@@ -122,7 +122,7 @@ class _Layout:
         return f"{padding}x{code}" if padding else code
 
 
-# ------------------------------------------------------------------------- how values are collected
+# ------------------------------------------------------------------------- collecting values
 
 
 class _Source:
@@ -156,7 +156,7 @@ class _Source:
                 raise RoboximError(f"field '{field}' of {name}: {hint} is not converted here; add it")
 
     def _field(self, hint: Any, kind: Any, value: str) -> bool:
-        """Write a field by its annotation in the dataclass and its type in the message; tell whether it could be."""
+        """Write a field by its annotation in the dataclass and its type in the message; return false if impossible."""
         node, what = kind
         if hint is Pose:
             self._numbers("ddddddd", f"*{value}.position", f"*{value}.quat_xyzw")
@@ -241,7 +241,7 @@ class _Source:
         self.layout.append(("", inner))
 
     def _settle(self) -> None:
-        """Write what has been collected."""
+        """Write the collected values."""
         if self._values:
             self._write(f"o += ({', '.join(self._values)},)")
         if self._sizes:

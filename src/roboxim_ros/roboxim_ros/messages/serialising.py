@@ -1,9 +1,9 @@
 """Serialises the core's values with `rosbags`, without rclpy.
 
-rclpy copies a Python message field by field into a C message before it serialises that one, and the Python message must
-be made first. `rosbags` serialises objects by the definition of their type. `to_cdr` serialises a whole dataclass
-(module `packing`), by the rules of `conversions.to_msg`. The bytes are those of rclpy, except that padding is 0 and
-that nothing follows the last field.
+rclpy needs a Python message, and copies it field by field into a C message before it serialises the latter. `rosbags`
+serialises objects by the definition of their type. `to_cdr` serialises a whole dataclass (module `packing`), by the
+rules of `conversions.to_msg`. The bytes are those of rclpy, except that padding is 0 and that nothing follows the last
+field.
 """
 
 from __future__ import annotations
