@@ -150,6 +150,22 @@ def what_happened(
     return _sentence(joint.join(text for _, text in events))
 
 
+def steps_told(words: Sequence[str], done_at: Sequence[int | None], number: int, rest: str) -> str:
+    """Return how far an episode of a longer task came, and what stopped it.
+
+    Args:
+        words: Sentence of each step.
+        done_at: First tick at which each step was done, as it stayed until the end; None: it was not.
+        number: Number, from 1, of the step that failed; 0: none did.
+        rest: What happened in that step, in a sentence.
+    """
+    done = [f"step {k} at tick {tick}" for k, tick in enumerate(done_at, start=1) if tick is not None]
+    told = f"{len(done)} of {len(words)} steps were done" + (f" ({', '.join(done)})." if done else ".")
+    if number:
+        told += f" Step {number}, '{words[number - 1]}', was not" + (f": {rest[:1].lower()}{rest[1:]}" if rest else ".")
+    return told
+
+
 def _else(one: ConditionCourse) -> bool:
     """Return whether a broken condition means that something else happened, e.g. another object was moved."""
     return bool(one.reason) and not one.reason.startswith("not_")
@@ -170,7 +186,8 @@ def _event(one: ConditionCourse, cause: bool) -> tuple[int, str]:
     if not math.isfinite(one.least):
         return best, f"{one.words} was never below {_of_limit(one, best)}"
     text = PHRASES.get(one.measure, f"{one.words} reached {{}}").format(_of_limit(one, best))
-    return best, text if abs(one.values[best] - one.values[0]) <= NOTHING * abs(one.bound) else f"{text} at tick {best}"
+    first = one.values[int(np.argmax(np.isfinite(one.values)))]  # a step's conditions are judged from its turn on
+    return best, text if abs(one.values[best] - first) <= NOTHING * abs(one.bound) else f"{text} at tick {best}"
 
 
 def _value(one: ConditionCourse, tick: int) -> str:

@@ -41,6 +41,7 @@ from roboxim_eval.statistics.rates import (
     rate_of,
     rates_by,
 )
+from roboxim_eval.statistics.steps import step_share
 from roboxim_eval.statistics.tables import Count
 from roboxim_eval.statistics.verdicts import MARGIN, ONE_TRAINING, Verdict, checkpoint_names, checkpoint_verdict
 
@@ -248,6 +249,8 @@ def _numbers(run: PolicyRun) -> dict[str, Any]:
             numbers[f"by_{dimension}"] = {name: asdict(rate) for name, rate in rates.items()}
     else:
         numbers |= {"rate": None, "low": None, "high": None}
+    steps = step_share(run.results)
+    numbers |= {"steps": asdict(steps)} if steps else {}
     return numbers | {"failure_reasons": failure_reasons(run.results), "errors": error_reasons(run.results)}
 
 
@@ -325,6 +328,7 @@ def _run_view(run: PolicyRun) -> dict[str, Any]:
     return {
         "policy": run.policy,
         "rate": rate_of(run.results) if measured else None,
+        "steps": step_share(run.results) if measured else None,
         "errors": error_line(run.results),
         "link": episodes_link(arm=run.policy),
         "errors_link": episodes_link(arm=run.policy, outcome="error"),

@@ -31,6 +31,8 @@ EXPLANATIONS = {
     "not_held": "The goal was reached, but not for long enough.",
     "not_stable": "The goal was reached, but not kept after the last action.",
     "not_solved": "The task's conditions were not met.",
+    "undone": "What had been done was undone.",
+    "before_its_turn": "It was done before its turn, which does not count.",
     # something else happened
     "dropped": "The object fell from too high instead of being set down.",
     "carried": "The object was carried where it was to be pushed.",
@@ -70,6 +72,8 @@ def explained(reason: str) -> str:
         return EXPLANATIONS[reason]
     if not reason or reason == UNNAMED:
         return "The task gave no reason."
+    if found := re.fullmatch(r"step_(\d+)_(\w+)", reason):
+        return f"Step {found[1]}: {explained(found[2])}"
     words = reason.replace("_", " ")
     if found := re.fullmatch(r"not (.+)", words):
         return f"The condition '{found[1]}' was not met."

@@ -17,6 +17,7 @@ from roboxim_runs.evaluation.notebook import Episode, evaluation_html
 
 if TYPE_CHECKING:
     from roboxim_eval.statistics.rates import SuccessRate
+    from roboxim_eval.statistics.steps import StepShare
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +61,15 @@ class PolicyResult:
         return (self.rate.low, self.rate.high) if self.measured else None
 
     @property
+    def steps(self) -> StepShare | None:
+        """Share of the steps that were done, of tasks of several steps; none: all tasks have one step."""
+        from roboxim_eval.statistics.steps import step_share
+
+        return step_share(self.results)
+
+    @property
     def summary(self) -> str:
-        """Rate, interval and errors in one line."""
+        """Rate, interval, share of the steps and errors in one line."""
         return rate_line(self.results)
 
 
@@ -171,8 +179,11 @@ class EvaluationResult:
 def rate_line(results: Sequence[EpisodeResult]) -> str:
     """Return a policy's success rate with its interval, and its errors; only the errors when they are most episodes."""
     from roboxim_eval.statistics.rates import error_line, is_measured, rate_of
+    from roboxim_eval.statistics.steps import step_share
 
     errors = error_line(results)
     if not is_measured(results):
         return errors
-    return f"{rate_of(results)}" + (f"; {errors}" if errors else "")
+    steps = step_share(results)
+    parts = [str(rate_of(results)), str(steps) if steps else "", errors]
+    return "; ".join(filter(None, parts))

@@ -49,6 +49,13 @@ def _lines(config: TaskConfig) -> Iterator[str]:
     yield f"skill         {config.skill}"
     templates = config.templates.values if config.templates else ()
     yield f"instruction   {' | '.join(map(str, templates))}"
+    for number, step in enumerate(config.steps, start=1):
+        about = ", ".join(role if own == role else f"{own}: {role}" for own, role in step.roles.items())
+        words = " | ".join(map(str, step.templates.values if step.templates else ()))
+        yield f"step {number:<8} {step.skill} ({about}): {words}"
+        yield f"              {_thresholds(step.parameters) or 'no thresholds'}"
+    if config.steps:
+        yield f"order         {'any' if config.order == 'any' else 'fixed: a step done before its turn does not count'}"
     for role, thing in config.objects.items():
         modifiers = "; ".join(f"{name} {_choice(choice)}" for name, choice in thing.modifiers.items())
         yield f"{role:<13} {_choice(thing.models)}{f' ({modifiers})' if modifiers else ''}"
@@ -62,11 +69,15 @@ def _lines(config: TaskConfig) -> Iterator[str]:
             continue
         if varied := list(_varied(section)):
             yield f"varies        {name}: {'; '.join(varied)}"
-    needed = ", ".join(
-        f"{key} {value:g}" for key, value in to_plain(config.parameters).items() if type(value) is float and value
-    )
-    yield f"thresholds    {needed or 'none'}"
+    if not config.steps:
+        yield f"thresholds    {_thresholds(config.parameters) or 'none'}"
     yield f"rate          {config.rate_hz:g} Hz, at most {config.max_steps} steps"
+
+
+def _thresholds(parameters: Any) -> str:
+    return ", ".join(
+        f"{key} {value:g}" for key, value in to_plain(parameters).items() if type(value) is float and value
+    )
 
 
 def _varied(section: Any, path: str = "") -> Iterator[str]:
