@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 MOST = 12
-"""Number of different numbers above which they are grouped into thirds."""
+"""Number of distinct numbers above which they are grouped into thirds."""
 MOST_NAMES = 60
-"""Number of different names above which a choice is no dimension of a report, e.g. positions of a long list."""
+"""Number of distinct names above which a choice is not a dimension of a report, e.g. positions of a long list."""
 
 
 def grouped(values: Mapping[str, str]) -> dict[str, str]:
@@ -22,7 +22,7 @@ def grouped(values: Mapping[str, str]) -> dict[str, str]:
         values: Episode id to the recorded value, e.g. ``{"eval-0-00000-0": "1.732"}``.
 
     Returns:
-        Episode id to group; empty if the values are too many names to be groups.
+        Episode id to group; empty if there are too many different names for groups.
     """
     different = set(values.values())
     if len(different) <= MOST:

@@ -136,13 +136,13 @@ class EvaluatorNode(RoboximNode):
             cancelled: Called before every tick; True cancels the run.
 
         Raises:
-            EvaluationError: When another run goes on.
+            EvaluationError: When another run is active.
             RoboximError: See `EpisodeRunner.run_index`.
         """
         return list(self._run(config, indices, self._with_progress(told, cancelled)))
 
     def _with_progress(self, told: Callable[[str, int], None], cancelled: Callable[[], bool]) -> Callable[[], bool]:
-        """Return a function that tells whether to cancel, and the progress of the run from time to time."""
+        """Return a function that returns whether to cancel, and reports the progress of the run from time to time."""
         last = 0.0
 
         def look() -> bool:
@@ -195,7 +195,7 @@ class EvaluatorNode(RoboximNode):
 
 
 def _config_of(request: Any) -> RunConfig:
-    """Return the configuration that a request has; an empty ``keep`` keeps every episode.
+    """Return the configuration in a request; an empty ``keep`` keeps every episode.
 
     Raises:
         InvalidRequestError: When a value is out of range or unknown.

@@ -104,7 +104,7 @@ class TaskClient:
 
 
 class SimClient:
-    """Client of the simulator: services for states, topics for images; values, if the sim is in this process."""
+    """Client of the simulator: services for states, topics for images; plain values if it is in this process."""
 
     def __init__(self, clients: Clients, holder: str = "") -> None:
         """Store the clients.
@@ -117,7 +117,7 @@ class SimClient:
         self._clients = clients
         self._holder = holder
         self.meanwhile: Callable[[], None] = lambda: None
-        """What is done in the caller's thread while the sim computes a tick; it raises nothing."""
+        """Function that is called in the caller's thread while the sim computes a tick; it raises nothing."""
         self._arrived = threading.Condition()
         self._notice: TickNotice | None = None
         self._images: dict[str, dict[int, Image]] = {}
@@ -149,7 +149,7 @@ class SimClient:
                 )
 
     def load(self, episode_id: str, scene: SceneSpec, semantics: ActionSemantics | None = None) -> StateRecord:
-        """Rebuild the world for actions of a meaning, the default unless given, and let it settle; return tick 0."""
+        """Rebuild the world for actions of a meaning (default: end-effector deltas); settle; return tick 0."""
         self._base = scene.robot.pose
         request = LoadScene.Request(
             episode_id=episode_id, scene=to_msg(scene, SceneSpecMsg), holder=self._holder,
@@ -170,7 +170,7 @@ class SimClient:
         return from_msg(answer.state, StateRecord)
 
     def release(self, episode_id: str) -> None:
-        """Give the lease back; a dead sim, or one leased to another holder, only logs a warning."""
+        """Release the lease; if the sim is dead or leased to another holder, only log a warning."""
         try:
             self._clients.call(
                 ReleaseEpisode,
@@ -262,7 +262,7 @@ class RecorderClient:
         self._last = RecordedTick()
         self._open = ""
         self._sent: tuple[str, int] | None = None
-        """Episode and tick of the step that the recorder has not been heard to acknowledge."""
+        """Episode and tick of the step that the recorder has not yet acknowledged."""
         self._call: LocalCall | None = None
         """The same step's call, if the recorder is in this process."""
         clients.node.create_subscription(RecordedTick, "recorder/recorded", self._on_recorded, qos.EVENTS)
@@ -277,9 +277,9 @@ class RecorderClient:
     def step(self, step: EpisodeStep) -> None:
         """Send a tick's step; `wait_written` waits for the recorder's acknowledgement.
 
-        A recorder of this process gets it by a call. It is then published only if others than the recorder listen.
+        A recorder of this process gets it by a call. It is then published only if there are other subscribers.
         """
-        self._sent = self._call = None  # what is refused here is not waited for
+        self._sent = self._call = None  # a refused step is not waited for
         taken = self._clients.send_local(RECORD_STEP, step)
         if taken is None or not self._clients.value_of(taken, RECORD_STEP, MESSAGE_TIMEOUT_S):
             self._call = None if taken is None else self._clients.send_local(RECORD_ARRIVING, step)
@@ -314,13 +314,13 @@ class RecorderClient:
         raise_for_code(last.error_code, last.error_msg)
 
     def store(self) -> None:
-        """Store what a recorder of this process has taken. Call it while nobody waits: it compresses images."""
+        """Store the ticks that a recorder of this process has taken. Slow: call it while no caller waits."""
         self._clients.send_local(RECORD_STORE)
 
     def close(self, result: EpisodeResult, keep: str, received: Sequence[str] = ()) -> str:
         """Close the bag; return its path relative to the output folder.
 
-        Only a recorder of this process is told what the policy received.
+        Only a recorder of this process gets the instructions that the policy received.
         """
         self.wait_written()
         told = self._clients.send_local(RECORD_RECEIVED, (result.episode_id, tuple(received)))
@@ -339,7 +339,7 @@ class RecorderClient:
         request.result.episode_id = self._open
         self._open = ""
         try:
-            self.wait_written()  # a late error must not meet the next try, which has the same episode id
+            self.wait_written()  # a late error must not affect the next attempt, which has the same episode id
         except RoboximError as error:
             self._clients.node.get_logger().info(f"the dropped bag lacks its last tick: {error}")
         try:

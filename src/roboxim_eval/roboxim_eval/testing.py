@@ -1,4 +1,4 @@
-"""Experiments for tests, and tables of policies with planted behaviour, for tests of what reports say."""
+"""Experiments for tests, and results of policies with planted behaviour, for tests of reports."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ image_size: 64x64
 
 def experiment_of(text: str, *, scale: str = "full", **changes: Any) -> ExperimentConfig:
     """Return the experiment of a file's text at a scale, with some of its keys replaced."""
-    data = parse_yaml(text)  # it knows the lines of its keys, for messages
+    data = parse_yaml(text)  # it holds the lines of its keys, for messages
     data.update(changes)
     return experiment_config(data, source="mine.yaml", scale=scale)
 

@@ -1,7 +1,7 @@
-"""What a failed episode failed by: successes of the same episode with one thing changed.
+"""Causes of a failed episode, found by running the same episode with one change.
 
 An association over many episodes ("fails more often with distractors") may have other reasons. Here one episode is run
-again with one change, several times: a change is a *single cause* if the episode fails as it was and succeeds with it.
+again with one change, several times: a change is a *single cause* if the episode fails without it and succeeds with it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Tally:
     """Outcomes of an episode with a change."""
 
     name: str
-    """What was changed, e.g. ``distractors``; of two changes both names with ``+``; empty: nothing."""
+    """Name of the change, e.g. ``distractors``; for two changes, both names joined by ``+``; empty: no change."""
     words: str
     """The change in words, e.g. ``without the 2 distractors``."""
     successes: int
@@ -36,13 +36,13 @@ class Tally:
 
 @dataclass(frozen=True, kw_only=True)
 class Explanation:
-    """What is known about a failure."""
+    """Findings about a failure."""
 
     kind: Kind
-    """``chance``: it succeeds as it was. ``single``: one change is a cause. ``several``: each of several changes alone.
-    ``together``: no change alone, but two of them. ``none``: nothing that was tried."""
+    """``chance``: it succeeds without a change. ``single``: one change is a cause. ``several``: each of several changes
+    alone is one. ``together``: no change alone is one, but two together are. ``none``: no tried change is one."""
     causes: tuple[Tally, ...]
-    """The changes that make it succeed, the clearest first."""
+    """The changes with which it succeeds, the clearest first."""
     as_it_was: Tally
     """The episode without a change."""
     tried: tuple[Tally, ...]
@@ -76,7 +76,7 @@ def p_of_change(changed: Tally, as_it_was: Tally) -> float:
 
 
 def may_become_cause(so_far: Tally, runs: int, as_it_was: Tally, changes: int) -> bool:
-    """Return whether a change can still be shown to be a cause if all runs that are left succeed.
+    """Return whether a change can still be shown to be a cause if all remaining runs succeed.
 
     Args:
         so_far: Its runs so far.
@@ -89,7 +89,7 @@ def may_become_cause(so_far: Tally, runs: int, as_it_was: Tally, changes: int) -
 
 
 def explanation(as_it_was: Tally, singles: Sequence[Tally], pairs: Sequence[Tally] = ()) -> Explanation:
-    """Return what follows from the runs of an episode.
+    """Return the conclusion from the runs of an episode.
 
     Args:
         as_it_was: The episode without a change.

@@ -13,7 +13,7 @@ CLOSED = 0.5
 LIFTED_M = 0.01
 """Height above its first one from which an object is lifted [m]."""
 NEAR_TICKS = 4
-"""Largest distance of a tick from an event that it is named by."""
+"""Largest distance of a tick from an event that names it."""
 Outcome = tuple[bool, bool]
 
 
@@ -26,7 +26,7 @@ class SceneComparison:
     outcome: Outcome
     """Whether the first and the second policy succeed."""
     diverge_at: int | None
-    """First tick whose states differ; none: no tick does."""
+    """First tick whose states differ; none: no tick differs."""
     decides_at: int | None = None
     """First tick from which the loser succeeds if the winner has acted until then; none: both end alike, or the loser
     succeeds from no tick."""
@@ -39,7 +39,7 @@ class SceneComparison:
 
 
 def first_success(succeeds: Callable[[int], bool], low: int, high: int) -> int:
-    """Return the first tick from which something succeeds, by bisection.
+    """Return the first tick from which a policy succeeds, by bisection.
 
     Args:
         succeeds: Whether it succeeds from a tick; assumed to change once, from not to yes.
@@ -53,7 +53,7 @@ def first_success(succeeds: Callable[[int], bool], low: int, high: int) -> int:
 
 
 def events_of(states: Sequence[StateRecord]) -> dict[str, int]:
-    """Return what happens first in an episode: name of the event to its tick."""
+    """Return the first occurrence of each event of an episode: name of the event to its tick."""
     found: dict[str, int] = {}
     first = {entity.name: entity.pose.position[2] for entity in states[0].entities}
     for before, state in zip(states, states[1:], strict=False):
@@ -71,7 +71,7 @@ def events_of(states: Sequence[StateRecord]) -> dict[str, int]:
 
 
 def phase_at(states: Sequence[StateRecord], tick: int) -> str:
-    """Return what happens at a tick: the nearest event, or what lies between two."""
+    """Return a description of a tick: the nearest event, or the phase between two events."""
     events = sorted(events_of(states).items(), key=lambda item: item[1])
     if not events:
         return "the approach"
@@ -83,7 +83,7 @@ def phase_at(states: Sequence[StateRecord], tick: int) -> str:
 
 
 def summary(names: tuple[str, str], found: Sequence[SceneComparison]) -> tuple[str, ...]:
-    """Return what many scenes say, in sentences.
+    """Return a summary of many scenes, in sentences.
 
     Args:
         names: Both policies.

@@ -47,9 +47,9 @@ class Factor:
     upper: float
     """Largest value."""
     words: str = ""
-    """What it is, e.g. ``light intensity``; empty: its name."""
+    """Name for people, e.g. ``light intensity``; empty: `name`."""
     edges: tuple[str, str] = ("", "")
-    """What lies at the lower and at the upper end, e.g. ``near edge of its area``; empty: nothing of a name."""
+    """Names of the lower and the upper end, e.g. ``near edge of its area``; empty: they have none."""
     unit: str = ""
     """Unit, for words."""
 
@@ -170,7 +170,7 @@ def sobol(number: int, dimensions: int, seed: int) -> Array:
 
 
 def failing_box(points: Array, failed: Mask) -> Box | None:
-    """Return the box whose failures stand out most; None: none does.
+    """Return the box whose failures stand out most; None: no box stands out.
 
     Args:
         points: Points in the unit cube, shape (n, d).
@@ -218,7 +218,7 @@ def _peeled(points: Array, failed: Mask, low: Array, high: Array) -> Box | None:
 
 
 def _simplified(points: Array, failed: Mask, box: Box) -> Box:
-    """Return a box without the borders that its failures do not need."""
+    """Return a box without borders that do not help to separate its failures."""
     low, high = box[0].copy(), box[1].copy()
     improved = True
     while improved:
@@ -237,7 +237,7 @@ def _simplified(points: Array, failed: Mask, box: Box) -> Box:
 
 
 def _score(points: Array, failed: Mask, box: Box) -> float:
-    """Return how much better two rates, inside and outside, explain the outcomes than one, less a price of borders."""
+    """Return how much better two rates (inside, outside) explain the outcomes than one, minus a penalty for borders."""
     inside = _within(points, box)
     if inside.all() or not inside.any() or failed[inside].mean() <= failed[~inside].mean():
         return 0.0

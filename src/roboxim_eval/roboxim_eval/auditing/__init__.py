@@ -1,4 +1,4 @@
-"""Audit of benchmarks: what recorded probes of any Gymnasium environment say about its faults.
+"""Audit of benchmarks: faults of any Gymnasium environment, found from recorded probes.
 
 `roboxim_runs.environments.benchmark_audit` makes the probes; `audit_findings` judges them without the environment.
 """

@@ -1,4 +1,4 @@
-"""From probes of an environment to findings: what makes success rates of a benchmark wrong or not repeatable."""
+"""From probes of an environment to findings: faults that make a benchmark's success rates wrong or not repeatable."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from roboxim_eval.statistics.rates import success_rate
 TOO_EASY = 0.05
 """Lower bound of a success rate without skill above which it is a fault."""
 Said = Iterator[str]
-"""Sentences of a check: none, it passed. One that begins with ``?`` says why it could not be made."""
+"""Sentences of a check; none: it passed. A sentence that begins with ``?`` says why the check was impossible."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class Finding:
     check: str
     """Name of the check."""
     sentence: str
-    """What was seen."""
+    """Observation, in words."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class Audit:
     findings: tuple[Finding, ...]
     """The faults."""
     passed: tuple[str, ...]
-    """Names of the checks without one."""
+    """Names of the checks that passed."""
     untested: dict[str, str]
     """Names of the checks that could not be made, with the reason."""
     rates: dict[str, str]

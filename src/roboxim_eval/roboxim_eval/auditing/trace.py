@@ -1,4 +1,4 @@
-"""What was observed of an environment: episodes as digests, rewards and verdicts, without the environment."""
+"""Observations of an environment: episodes as digests, rewards and verdicts, independent of the environment."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ class Trace:
     rewards: tuple[float, ...] = ()
     """Reward of each step."""
     successes: tuple[bool | None, ...] = ()
-    """What the info of each step says of the success; none: nothing."""
+    """Success in the info of each step; none: the info does not state it."""
     start_success: bool | None = None
-    """What the info of the reset says of the success."""
+    """Success in the info of the reset."""
     terminated: bool = False
     """Whether the last step ended the episode."""
     truncated: bool = False
-    """Whether the last step cut it off."""
+    """Whether the last step truncated the episode."""
     instruction: str | None = None
     """Instruction of the episode; none: the environment has none."""
     final: tuple[float, ...] = ()
     """Floating-point numbers of the last observation, for comparisons with a tolerance."""
     faults: tuple[str, ...] = ()
-    """What was wrong with single values, in words, e.g. an observation outside of its space."""
+    """Faults of single values, in words, e.g. an observation outside of its space."""
     refused: str = ""
     """The error by which the environment refused an action; empty: none."""
 
@@ -68,20 +68,20 @@ class Trace:
 
     @property
     def success(self) -> bool | None:
-        """Whether the last step that says so reports success; none: no step says anything."""
+        """Success at the last step that states it; none: no step does."""
         known = [one for one in self.successes if one is not None]
         return known[-1] if known else None
 
     @property
     def outcome(self) -> tuple[Any, ...]:
-        """Everything that a repetition must show again."""
+        """Everything that must be equal in a repetition."""
         return (
             self.observations, self.rewards, self.successes, self.start_success, self.terminated, self.truncated,
             self.instruction,
         )  # fmt: skip
 
     def first_difference(self, other: Trace) -> str:
-        """Return where two traces of the same actions part, in words; empty: nowhere."""
+        """Return the first difference of two traces of the same actions, in words; empty: none."""
         if self.instruction != other.instruction:
             return f"the instruction: {self.instruction!r} and {other.instruction!r}"
         pairs = zip(self.observations, other.observations, strict=False)
@@ -96,7 +96,7 @@ class Trace:
 
 @dataclass(frozen=True, kw_only=True)
 class Probes:
-    """All probes of an environment; those of the same seed have the same actions unless said otherwise."""
+    """All probes of an environment; probes with the same seed have the same actions unless stated otherwise."""
 
     first: Trace
     """A seed in a new environment, with random actions."""
@@ -129,7 +129,7 @@ class Probes:
     random: Sequence[Trace]
     """Whole episodes of random actions."""
     limit: int
-    """Number of steps after which the auditor gave up an episode."""
+    """Number of steps after which the auditor ended an episode."""
     solved: Sequence[Trace] = ()
     """Whole episodes of a solver; empty: none was given."""
     wordless: Sequence[Trace] = ()
@@ -141,4 +141,4 @@ class Probes:
     solved_trace: Trace | None = None
     """The episode that was replayed."""
     notes: tuple[str, ...] = field(default=())
-    """What the auditor saw beside the traces, e.g. that a step changed the caller's action."""
+    """Other observations of the auditor, e.g. that a step changed the caller's action."""

@@ -22,7 +22,7 @@ SCHEMA = "benchmark-3"
 Bounds = tuple[float, float, float]
 """An estimate, and the lower and upper bound of its 95 % interval."""
 OpenBounds = tuple[float, float | None, float | None]
-"""The same of a difference; null: one training of each condition has no bound."""
+"""A difference with its interval; null: unbounded, because each condition has one training."""
 
 
 @dataclass(frozen=True, kw_only=True)

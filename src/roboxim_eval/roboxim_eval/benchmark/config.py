@@ -25,9 +25,9 @@ class Reference:
     """Published results that a report shows beside its own."""
 
     name: str
-    """What was measured, and where it is published."""
+    """Measured quantity, and the publication."""
     differences: tuple[str, ...] = ()
-    """What differs from a run here, a sentence each."""
+    """Differences from a run here, a sentence each."""
     experiments: dict[str, ReferenceScore] = field(default_factory=dict)
     """Experiment to its scores."""
     dimensions: dict[str, ReferenceScore] = field(default_factory=dict)

@@ -1,8 +1,8 @@
 """How to spend a budget: the trainings and rollouts that give the primary comparison its narrowest interval.
 
-A training costs its steps once; a rollout costs its seconds in every training. Which of the two to buy depends on what
-varies: an earlier card's variance components say it (`roboxim_eval.statistics.components`). The 95 % interval of a
-difference over R trainings and n rollouts in each of C cells reaches t(R - 1) * sqrt(variance(R, n)) to both sides.
+A training costs its steps once; a rollout costs its seconds in every training. The better choice depends on the
+variance components of an earlier card (`roboxim_eval.statistics.components`). The 95 % interval of a difference over R
+trainings and n rollouts in each of C cells reaches t(R - 1) * sqrt(variance(R, n)) to both sides.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Allocation:
     rollouts: int
     """Rollouts of a training in each of them."""
     half_width: float
-    """Half the 95 % interval of the difference over these cells, 0..1; at most 1."""
+    """Half the width of the 95 % interval of the difference over these cells, 0..1; at most 1."""
     half_width_sampled: float
     """The same over all cells that these are a sample of."""
     seconds: float

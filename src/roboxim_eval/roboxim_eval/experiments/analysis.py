@@ -74,7 +74,7 @@ class Analysis:
     scores: Scores | None
     """Scores of the held-out cells; none: the experiment has no held-out cells and baseline."""
     warnings: tuple[str, ...]
-    """What weakens the results, in sentences."""
+    """Limitations of the results, in sentences."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -121,7 +121,7 @@ def _differences(
 ) -> ConditionDifference:
     first = arms[compare.first].within(_keys(design, compare.where))
     second = arms[compare.second].within(_keys(design, compare.against or compare.where))
-    same_scenes = compare.against in ("", compare.where)  # else pairs are those of a condition with itself
+    same_scenes = compare.against in ("", compare.where)  # otherwise pairs would be those of a condition with itself
     return condition_difference(first, second, pairs if same_scenes else (), same_cells=not compare.against)
 
 

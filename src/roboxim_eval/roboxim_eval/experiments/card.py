@@ -4,8 +4,8 @@ Scores, verdicts and sentences follow from ``evaluations``, ``pairs`` and ``judg
 `roboxim_eval.experiments.card_checks` computes them again without any bag. ``sha256`` covers everything but ``times``:
 an experiment that was interrupted and continued has the same one.
 
-Parts are filled by those who know them. Counts come from results, hashes from the run's folder, `proofs` from the bags,
-and `judged_again` from bags that were judged by the other instructions of the training.
+Counts come from results, hashes from the run's folder, `proofs` from the bags, and `judged_again` from bags that were
+judged by the other instructions of the training.
 """
 
 from __future__ import annotations

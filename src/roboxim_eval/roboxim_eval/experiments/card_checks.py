@@ -87,7 +87,7 @@ def check_card(data: Any, *, source: str = "card") -> Card:
     card = parse_card(data, source=source)
     try:
         again = concluded(card).plain
-    except (LookupError, ArithmeticError, TypeError, ValueError) as error:  # a part names what the others lack
+    except (LookupError, ArithmeticError, TypeError, ValueError) as error:  # a part names things that the others lack
         raise ConfigError(f"{source}: its parts contradict each other ({error!r}); it was changed") from None
     for part in DERIVED:
         if again[part] != data.get(part):
@@ -139,7 +139,7 @@ def _verdict(comparison: Comparison, primary: bool) -> CardVerdict:
 
 
 def attestation_warnings(trainings: Iterable[CardTraining]) -> Iterable[str]:
-    """Yield a sentence for what is not said, each difference of the recipes, and exposure to held-out pairs."""
+    """Yield a sentence for missing statements, each difference of the recipes, and exposure to held-out pairs."""
     trainings = tuple(trainings)
     if unsaid := sorted({t.condition for t in trainings if not t.attest.recipe}):
         yield f"The recipe of {' and '.join(unsaid)} is not stated, so more than the dataset may differ."

@@ -50,7 +50,7 @@ def named_cell(name: str) -> Cell | None:
         name: For example ``pick_up target=apple camera=left``.
 
     Returns:
-        The cell; its key has the factors in the order of their names. None: the name is none of a cell.
+        The cell; its key has the factors in the order of their names. None: the name is not that of a cell.
     """
     task, *others = name.split(" ")
     levels = dict(pair for word in others if len(pair := word.partition("=")[::2]) == 2 and all(pair))

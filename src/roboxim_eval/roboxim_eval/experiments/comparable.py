@@ -1,9 +1,9 @@
-"""Whether runs can be compared as models: their rollouts must have been asked the same; what else differs is said.
+"""Whether runs can be compared as models: their rollouts must have the same tasks; other differences are reported.
 
 Equal names of cells do not show that rollouts were alike: `skill_object` and `skill_object_worded` have the same cells,
-the one with no distractors, the other with three. What a cell's rollouts are asked follows from the factors, from
-``set``, ``evaluate.max_steps`` and the condition. Factors are looked at in the compared cells alone, since a scale may
-have fewer levels.
+but no distractors and three distractors. The tasks of a cell's rollouts follow from the factors, from ``set``,
+``evaluate.max_steps`` and the condition. Only the compared cells' factors are checked, since a scale may have fewer
+levels.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SHOWN_HASH = 8
 
 
 def require_same_rollouts(cards: Mapping[str, Card], condition: str, cells: Collection[str]) -> None:
-    """Check that the rollouts of a condition were asked the same in all runs.
+    """Check that the rollouts of a condition had the same tasks in all runs.
 
     Args:
         cards: Name of a model to its card.
@@ -33,7 +33,7 @@ def require_same_rollouts(cards: Mapping[str, Card], condition: str, cells: Coll
         cells: The compared cells; all runs have them.
 
     Raises:
-        ConfigError: When a run's rollouts were asked something else than those of the first one; names the keys.
+        ConfigError: When a run's rollouts had other tasks than those of the first one; names the keys.
     """
     (first, reference), *others = ((name, _asked(card.experiment.config, condition, cells)) for name, card in
                                    cards.items())  # fmt: skip
@@ -47,7 +47,7 @@ def require_same_rollouts(cards: Mapping[str, Card], condition: str, cells: Coll
 
 
 def _asked(config: ExperimentConfig, condition: str, cells: Collection[str]) -> dict[str, Any]:
-    """Return what the rollouts of a condition were asked in some cells, as plain data, by the keys of the file."""
+    """Return the tasks of a condition's rollouts in some cells, as plain data, by the keys of the file."""
     met = [cell.levels for cell in cells_of(config) if cell.key in cells]
     factors: dict[str, dict[str, Any]] = {}
     for factor, level in dict.fromkeys(item for levels in met for item in levels.items()):
@@ -66,7 +66,7 @@ def _asked(config: ExperimentConfig, condition: str, cells: Collection[str]) -> 
 
 
 def _told(config: ExperimentConfig, factor: str, level: str) -> Any:
-    """Return what a level sets: keys of the task, an object model, or a task's file; empty: nothing but its name."""
+    """Return the settings of a level: keys of the task, an object model, or a task's file; empty: only its name."""
     levels = config.factors[factor]
     if isinstance(levels, Mapping) and levels[level]:
         return _named_nulls(levels[level])
@@ -75,19 +75,19 @@ def _told(config: ExperimentConfig, factor: str, level: str) -> Any:
 
 
 def _named_nulls(changes: Any) -> Any:
-    """Return changes of a task with ``null``, which removes a key, as a word: in messages it differs from no change."""
+    """Return changes of a task with ``null`` as a word, so that messages distinguish a removed key from no change."""
     if isinstance(changes, Mapping):
         return {key: _named_nulls(value) for key, value in changes.items()}
     return "null" if changes is None else changes
 
 
-# ------------------------------------------------------------------ what else differs
+# ------------------------------------------------------------------ other differences
 
 
 def circumstances(cards: Mapping[str, Card], condition: str) -> Iterator[str]:
-    """Yield a sentence for each circumstance that differs between runs, beside their policies.
+    """Yield a sentence for each difference between runs, apart from their policies.
 
-    What a card does not state is not compared.
+    Facts that a card lacks are not compared.
 
     Args:
         cards: Name of a model to its card.
@@ -116,7 +116,7 @@ def _datasets(cards: Mapping[str, Card], condition: str) -> dict[str, str]:
 
     Returns:
         Model to its datasets in words, e.g. ``324 demonstrations as rlds, 7036c27a``; models whose card has no hash of
-        them, e.g. since their policies were given, are left out.
+        them, e.g. because their policies were given, are left out.
     """
     keys = {name: _datasets_of(card, condition) for name, card in cards.items()}
     known = {

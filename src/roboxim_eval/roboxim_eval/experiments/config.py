@@ -24,7 +24,7 @@ WHERE = ("all", "seen", "unseen")
 """Groups of cells."""
 VARIES = ("training", "data")
 FULL = "full"
-"""The scale of the file as it stands."""
+"""Name of the scale without replaced keys."""
 Match = Mapping[str, str]
 """Factor to level; a cell matches if it has all of them."""
 
@@ -41,7 +41,7 @@ class DatasetConfig:
     per_cell: int
     """Demonstrations of each cell. Datasets with a cell in common have its first demonstrations in common."""
     only: tuple[dict[str, str], ...] = ()
-    """Cells to choose among those: each matches all factors of one of these; empty: all of them."""
+    """Selection among those cells: a cell must match all factors of one of these; empty: all of them."""
     fault: str = ""
     """A data fault of section 6.1.2 to plant, e.g. ``wrong_instruction``; empty: none."""
     share: float = 0.0
@@ -67,7 +67,7 @@ class DatasetConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseConfig:
-    """Noise in the free motions of demonstrations: they show the policy how to come back to the path."""
+    """Noise in the free motions of demonstrations: they show the policy how to return to the path."""
 
     translation_mm: float = 6.0
     """Standard deviation per axis and tick [mm]."""
@@ -93,7 +93,7 @@ class ConditionConfig:
     """Later fields, see `roboxim_core.config.LEFT_OUT`: cards without them keep their hashes."""
 
     about: str = ""
-    """What is special about it, one sentence."""
+    """Purpose of the condition, one sentence."""
     train: str = ""
     """Dataset to train with."""
     checkpoint_of: str = ""
@@ -141,7 +141,7 @@ class EvaluateConfig:
     cells: dict[str, str] = field(default_factory=dict)
     """Condition to its cells: ``all``, ``seen`` or ``unseen``; conditions that are left out are evaluated in all."""
     max_steps: int = 0
-    """Actions after which an episode has failed; 0: as the task says."""
+    """Actions after which an episode has failed; 0: the task's limit."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -163,7 +163,7 @@ class ReplicatesConfig:
     """Later fields, see `roboxim_core.config.LEFT_OUT`: cards and stages without them keep their hashes."""
 
     count: int = 5
-    """Number of trainings of each condition; each has scenes of its own, the same in all conditions."""
+    """Number of trainings of each condition; each has its own scenes, which all conditions share."""
     vary: tuple[str, ...] = ("training",)
     """What differs between replicates: ``training`` (the seed), and ``data`` (the demonstrations too)."""
     first_seed: int = 0
@@ -238,7 +238,7 @@ class DecideConfig:
     """Limits of the verdicts."""
 
     alpha: float = 0.05
-    """Probability of any false alarm within the file, two-sided; at most 0.05, since intervals of 95 % are shown."""
+    """Probability of any false alarm within the file, two-sided; at most 0.05, because 95 % intervals are shown."""
     margin: float = 0.10
     """Largest difference of success rates that counts as equally good."""
     refuse_below: float = 0.10
@@ -324,7 +324,8 @@ def experiment_config(
     Args:
         data: As returned by `roboxim_core.config.parse_yaml`.
         source: Name of the data's source, for messages.
-        scale: Name of one of the file's scales; ``full`` is the file as it stands unless the file redefines it.
+        scale: Name of one of the file's scales; ``full`` is the file without replaced keys unless the file redefines
+            it.
         trainers: Further trainers that ``arguments`` may name, besides those of the file and of ``config/trainers``.
 
     Raises:

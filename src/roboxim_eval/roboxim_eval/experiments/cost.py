@@ -16,11 +16,11 @@ from roboxim_eval.statistics.replicates import LEAST_REPLICATES
 FILMS = 8
 """Films of each condition in an experiment's report."""
 LEAST_START_S = 0.5
-"""Least time of a start, where a measurement is too short to show one [s]."""
+"""Smallest time of a start, used where a measurement is too short to show one [s]."""
 ASSUMED_SUCCEEDED = 0.8
-"""Share of rollouts taken as successful until a run shows one; power is computed at the same rate."""
+"""Assumed share of successful rollouts until a run has measured one; power is computed at the same rate."""
 LEAST_LEARNING_STEPS = 1000
-"""Fewest steps of a training for which any success is expected."""
+"""Smallest number of training steps for which any success is expected."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class SideBySide:
     measured: str
     """Date of the measurement, ISO 8601."""
     source: str
-    """What was measured."""
+    """Measured quantity."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -96,7 +96,7 @@ class Rates:
     film_s: float
     """Wall time of a film of the report, its episode's facts included [s]."""
     succeeded: float | None = None
-    """Share of the rollouts of the experiment's last run that succeeded, 0..1; none: it was not run yet."""
+    """Success share of the rollouts of the experiment's last run, 0..1; none: not run yet."""
     side_by_side: tuple[SideBySide, ...] = ()
     """Rates of several trainings at a time, for each number that was measured."""
 
@@ -111,7 +111,7 @@ class Rates:
             raise ConfigError(f"the share of successes must be from 0 to 1, got {self.succeeded!r}; measure again")
 
     def rollout_s(self, succeeded: float) -> float:
-        """Return the mean wall time of a rollout of which a share succeeds, 0..1, with all workers busy [s]."""
+        """Return the mean wall time of a rollout at a success share of 0..1, with all workers busy [s]."""
         return succeeded * self.success_s + (1 - succeeded) * self.failure_s
 
     @property
@@ -164,7 +164,7 @@ class Cost:
     evaluate_s: float
     """Time of the rollouts, of their proofs and of the report [s]."""
     succeeded: float
-    """Share of the rollouts that are taken as successful, 0..1; failures last longer."""
+    """Assumed share of successful rollouts, 0..1; failures last longer."""
     failing_s: float
     """Time of the rollouts, of their proofs and of the report if none succeeds [s]."""
     disk_bytes: float
@@ -180,7 +180,7 @@ class Cost:
 
 
 def trainings_at_once(design: Design, trainings: int) -> int:
-    """Return how many trainings of an experiment run here at a time if at most a number of them may; at least 1."""
+    """Return the number of trainings that run here at a time, below a limit; at least 1."""
     here = len(design.trainings) if design.trainer.command else 0
     return max(1, min(trainings, here))
 
@@ -234,9 +234,9 @@ def cost_of(design: Design, rates: Rates, trainings: int = 1) -> Cost:
 
 
 def expected_success(design: Design, rates: Rates) -> float:
-    """Return the share of an experiment's rollouts that a plan takes as successful, 0..1.
+    """Return the share of successful rollouts that a plan assumes for an experiment, 0..1.
 
-    It is that of the experiment's last run, else an assumption; trainings too short to learn anything have none.
+    It is that of the experiment's last run, else an assumption; 0 for trainings that are too short to learn anything.
     """
     steps = [training.steps for training in design.trainings] if design.trainer.command else []
     if steps and max(steps) < LEAST_LEARNING_STEPS:
@@ -258,7 +258,7 @@ def _trainings_s(design: Design, rates: Rates, trainings: int) -> float:
             f"{at_once}' measures it"
         )
     waiting = [(training.steps, 1 + len(training.checkpoints)) for training in design.trainings]
-    running: list[tuple[float, int, int]] = []  # share that is left, steps, starts
+    running: list[tuple[float, int, int]] = []  # remaining share, steps, starts
     passed_s = 0.0
     while waiting or running:
         running += [(1.0, *waiting.pop(0)) for _ in range(min(at_once - len(running), len(waiting)))]

@@ -1,4 +1,4 @@
-"""What an experiment runs: demonstrations, trainings, rollouts, and the graph of stages between them."""
+"""Work of an experiment: demonstrations, trainings, rollouts, and the graph of stages between them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Training:
     seed: int
     """Seed that the trainer's command receives; 0 for all replicates unless ``replicates.vary`` has ``training``."""
     arguments: str
-    """What its condition adds to the trainer's command; empty: nothing."""
+    """Arguments that its condition adds to the trainer's command; empty: none."""
     checkpoints: tuple[int, ...]
     """Steps whose checkpoints are evaluated for the learning curve."""
 
@@ -301,7 +301,7 @@ class Stage:
 
     @property
     def part(self) -> str:
-        """What it is part of: ``generate``, ``export``, ``train`` or ``evaluate``."""
+        """Group of the stage: ``generate``, ``export``, ``train`` or ``evaluate``."""
         if self.kind == "prove":
             return "export" if self.name.startswith("prove/training") else "evaluate"
         return "export" if self.kind == "corrupt" else self.kind
@@ -377,12 +377,12 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
 
 
 def _exported(trainer: TrainerConfig, dataset: DatasetConfig) -> dict[str, Any]:
-    """Return the inputs of an export that are not the usual ones: the format, and options."""
+    """Return the inputs of an export that differ from the defaults: the format, and options."""
     options = {**trainer.export, **dataset.export}
     return ({} if trainer.format == RLDS else {"format": trainer.format}) | ({"options": options} if options else {})
 
 
 def _asked(trainer: TrainerConfig, trained: bool) -> dict[str, Any]:
-    """Return the inputs of a trained policy's evaluation that are not the usual ones: arguments, and the server."""
+    """Return the inputs of a trained policy's evaluation that differ from the defaults: arguments, and the server."""
     given = {"policy_options": trainer.options, "serve": trainer.serve} if trained else {}
     return {name: value for name, value in given.items() if value}

@@ -1,15 +1,14 @@
-"""Models side by side: the same condition of several runs of an experiment, on the cells that all of them met.
+"""Models side by side: the same condition of several runs of an experiment, on the cells that all runs contain.
 
 Each model has trainings of its own. With three or more each, trainings are the sample (Q2): Student's t over the
 difference of each replicate or, where the numbers of trainings differ, Welch's t over all trainings of both. With
 fewer, only these checkpoints are compared (Q1): on the scenes that both met (McNemar) or, where the scenes differ, on
-the rollouts (Boschloo). P values of all pairs are adjusted (Holm); two models without a common letter differ. Where
-more than two models did not all meet the same scenes, their strengths say who solved what another one did not
+the rollouts (Boschloo). P values of all pairs are adjusted (Holm); two models without a common letter differ. If more
+than two models did not all meet the same scenes, their strengths show which models solve scenes that others do not
 (Bradley-Terry).
 
 Errors count as failures. A model with many of them is named, since its rate says little about the model. Runs whose
-rollouts were asked different things are refused; other circumstances that differ are named, see
-`roboxim_eval.experiments.comparable`.
+rollouts had different tasks are refused; other differences are named, see `roboxim_eval.experiments.comparable`.
 """
 
 from __future__ import annotations
@@ -80,7 +79,7 @@ class PairOfModels:
     p: float
     """p value, adjusted for all pairs (Holm)."""
     test: str
-    """What was tested, in words."""
+    """Test, in words."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +104,7 @@ class Models:
     """Model to the log-odds that it, not an average model, solved a scene that one of two solved; the strongest first.
     Empty where all met the same scenes, or too few scenes connect them."""
     circumstances: tuple[str, ...]
-    """What else than the models differs between the runs, a sentence each, e.g. their scales."""
+    """Other differences between the runs than the models, a sentence each, e.g. their scales."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -127,7 +126,7 @@ class Models:
 
     @property
     def verdicts(self) -> tuple[str, ...]:
-        """A sentence for each pair, those that differ first, then cells that are left out, and what else differs."""
+        """A sentence for each pair, first those that differ; then cells that are left out, and other differences."""
         differing = [pair for pair in self.pairs if pair.p <= 0.05]
         found = [
             f"{best} is better than {worse} by {100 * abs(pair.difference.value):.0f} points "
@@ -151,7 +150,7 @@ class Models:
         return (*found, *self.circumstances)
 
     def _basis(self, pair: PairOfModels) -> str:
-        """Return what a pair's sentence rests on: the test, and whose errors count as failures."""
+        """Return the basis of a pair's sentence: the test, and the models whose errors count as failures."""
         broken = [name for name in (pair.first, pair.second) if self.models[name].has_many_errors]
         return f"{pair.test}; errors of {' and '.join(broken)} count as failures" if broken else pair.test
 
@@ -214,7 +213,7 @@ def compare_models(
 
 
 def compared_condition(config: ExperimentConfig) -> str:
-    """Return the condition by which runs are compared unless another one is named: the primary comparison's first."""
+    """Return the condition by which runs are compared by default: the primary comparison's first one."""
     return config.primary.first if config.primary else next(iter(config.conditions))
 
 
@@ -292,7 +291,7 @@ def _welch(first: Arm, second: Arm) -> tuple[Interval, float]:
     numbers = np.array([len(first.replicates), len(second.replicates)])
     squares = np.array([np.var(first.rates, ddof=1), np.var(second.rates, ddof=1)]) / numbers
     error = math.sqrt(squares.sum())
-    if error < 1e-9:  # equal trainings of each, but for rounding
+    if error < 1e-9:  # equal trainings of each, except for rounding
         return floor, p_alone
     freedom = squares.sum() ** 2 / (squares**2 / (numbers - 1)).sum()
     half = float(student.ppf(0.975, freedom)) * error

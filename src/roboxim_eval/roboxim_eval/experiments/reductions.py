@@ -1,4 +1,4 @@
-"""What a scale of an experiment changes, in words, so that a card says how it differs from the whole experiment."""
+"""Changes that a scale makes to an experiment, in words, for its card."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from roboxim_core.config import to_plain
 from roboxim_eval.experiments.config import ExperimentConfig
 
 WORDING = ("about", "thesis", "deviations", "scales")
-"""Keys of an experiment that change nothing of what it does; so does ``about`` of a condition."""
+"""Keys of an experiment without effect on its work; ``about`` of a condition also has none."""
 ZEROS = {"max_steps": "as the task says", "steps": "as the trainer says"}
 """Keys whose 0 stands for a number of another file."""
 
 
 def deciding(config: ExperimentConfig) -> dict[str, Any]:
-    """Return what decides what an experiment does, as plain data: all but its wording."""
+    """Return the keys that affect an experiment's work, as plain data, without its descriptions."""
     plain: dict[str, Any] = json.loads(json.dumps(to_plain(config)))
     conditions = {name: {**one, "about": ""} for name, one in plain["conditions"].items()}
     return {key: value for key, value in {**plain, "conditions": conditions}.items() if key not in WORDING}
 
 
 def reductions(whole: ExperimentConfig, small: ExperimentConfig, trainer: str) -> str:
-    """Return where an experiment at a scale differs from the whole one.
+    """Return the differences of an experiment at a scale from the whole one.
 
     Args:
         whole: The experiment at full scale.
@@ -31,7 +31,7 @@ def reductions(whole: ExperimentConfig, small: ExperimentConfig, trainer: str) -
         trainer: The trainer that is chosen; others are left out. Empty: the first one.
 
     Returns:
-        For example ``without factors.task.rotate; evaluate.per_cell 5 instead of 20``; empty: nowhere.
+        For example ``without factors.task.rotate; evaluate.per_cell 5 instead of 20``; empty: none.
     """
     full, here = (_resolved(config, trainer or next(iter(small.trainers), "")) for config in (whole, small))
     rollouts = [one["evaluate"] for one in (full, here)]
@@ -42,7 +42,7 @@ def reductions(whole: ExperimentConfig, small: ExperimentConfig, trainer: str) -
 
 
 def _resolved(config: ExperimentConfig, trainer: str) -> dict[str, Any]:
-    """Return what decides, with one trainer, and with numbers in place of zeros that stand for another key's."""
+    """Return the relevant keys with one trainer, and with zeros replaced by the values that they stand for."""
     plain = deciding(config)
     plain["trainers"] = {trainer: plain["trainers"][trainer]} if trainer in plain["trainers"] else {}
     evaluate = plain["evaluate"]

@@ -1,6 +1,6 @@
 """Rotated designs: the held-out set changes from part to part, so that a score is about factors, not about a few cells.
 
-An experiment with one held-out set says how a policy does in those cells. A rotated one consists of parts, each an
+An experiment with one held-out set measures a policy in those cells. A rotated one consists of parts, each an
 ordinary experiment with a held-out set of its own and trainings of its own. The sets are disjoint, like the symbols of
 a Latin square: each holds out every level of every factor about equally often, and leaves every level to be seen.
 
@@ -22,7 +22,7 @@ from roboxim_eval.experiments.config import ExperimentConfig
 from roboxim_eval.statistics.rotated import Part, RotatedScore, rotated_score
 
 LEAST_SETS = 3
-"""Fewest sets of a rotated design: over fewer nothing can be said about cells."""
+"""Smallest number of sets of a rotated design; fewer sets allow no statement about cells."""
 
 
 def held_out_sets(cells: Sequence[Cell], sets: int, held_out: int) -> tuple[tuple[Cell, ...], ...]:
@@ -67,7 +67,9 @@ def held_out_sets(cells: Sequence[Cell], sets: int, held_out: int) -> tuple[tupl
             share = held_out * len(members) / number
             require([(cell, one) for cell in members], int(share), min(int(np.ceil(share)), len(members) - 1))
     size = number * sets
-    preferred = np.add.outer(np.arange(number), -np.arange(sets)).astype(float) ** 2  # one of many: the same ever again
+    preferred = (
+        np.add.outer(np.arange(number), -np.arange(sets)).astype(float) ** 2
+    )  # always the same solution
     found = milp(
         preferred.ravel() * 1e-3, integrality=np.ones(size), bounds=Bounds(0, 1),
         constraints=LinearConstraint(np.array(rows), np.array(low), np.array(high)), options={"time_limit": 30.0},
@@ -93,7 +95,7 @@ def _levels(cells: Sequence[Cell]) -> Iterator[list[int]]:
 def rotated(config: ExperimentConfig, sets: int, held_out: int, replicates: int = 1) -> tuple[ExperimentConfig, ...]:
     """Return the parts of a rotated design: the experiment with each of the held-out sets.
 
-    Trainings of all parts have seeds of their own. Datasets of seen cells keep their sizes: with fewer cells held out
+    The trainings of each part have their own seeds. Datasets of seen cells keep their sizes: with fewer cells held out
     they have fewer demonstrations of each.
 
     Args:

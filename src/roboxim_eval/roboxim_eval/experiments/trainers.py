@@ -40,7 +40,8 @@ class TrainerConfig:
     """Training steps."""
     until: str = ""
     """Arguments that end the same training after ``{until}`` steps, e.g. ``--until {until}``, for the checkpoints of a
-    learning curve; the command without them continues it. Empty: the trainer has none, so that there is no curve."""
+    learning curve; the command without them continues it. Empty: the trainer has no such arguments, so there is no
+    curve."""
     dataset: dict[str, Any] = field(default_factory=dict)
     """Datasets that it reads: ``format`` (``rlds`` by default) and options of that format's export, by the names that
     ``roboxim.export_rlds`` and ``export_lerobot`` take them by, e.g. ``{format: lerobot, version: "3.0"}``."""

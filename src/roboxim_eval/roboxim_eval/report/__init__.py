@@ -1,7 +1,7 @@
 """Reports: self-contained pages that open offline, for evaluations, experiments, benchmarks and comparisons of models.
 
-One design: `page` renders the templates, `charts` draws, `parts` has what pages share. `evaluation`, `experiment`,
-`benchmark` and `models` say what each page shows.
+One design: `page` renders the templates, `charts` draws, `parts` has shared parts. `evaluation`, `experiment`,
+`benchmark` and `models` define the content of each page.
 """
 
 from roboxim_eval.report.evaluation import PolicyRun, Report, summary, verdict_line, write_report

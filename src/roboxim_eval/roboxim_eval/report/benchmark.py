@@ -49,7 +49,7 @@ class BenchmarkRow:
     published: ReferenceScore | None = None
     """Published scores of the same; none: there are none."""
     links: Mapping[str, str] = field(default_factory=dict)
-    """Score to the address of its episodes; empty: they are on no page beside this one."""
+    """Score to the address of its episodes; empty: no other page lists them."""
 
     @property
     def absolute_text(self) -> str:
@@ -85,7 +85,7 @@ def benchmark_rows(card: BenchmarkCard, pages: Mapping[str, str] | None = None) 
 
     Args:
         card: The card.
-        pages: Experiment to the address of its own page; none: numbers lead nowhere.
+        pages: Experiment to the address of its own page; none: numbers have no links.
     """
     reference, own = card.reference or Reference(name=""), pages or {}
     for name, score in card.dimensions.items():
@@ -113,8 +113,8 @@ def benchmark_page(
     Args:
         card: The card.
         command: Command that runs the benchmark again; empty: unknown.
-        pages: Experiment to the address of its own page, to whose episodes its numbers lead; none: they lead nowhere.
-        warnings: Experiment to what weakens its results besides its card's warnings.
+        pages: Experiment to the address of its own page, to whose episodes its numbers link; none: no links.
+        warnings: Experiment to further limitations of its results, besides its card's warnings.
     """
     rows, own, told = list(benchmark_rows(card, pages)), pages or {}, warnings or {}
     return render(

@@ -19,20 +19,20 @@ UNITS = {
 }  # fmt: skip
 """Ending of a measure's name to the factor and the unit in which people read it; longer endings first."""
 LOST = {"grasped": "slipped", "lifted": "sank", "on_support": "left its support", "inside": "left the container"}
-"""Condition to the verb for its loss; others are "no longer <name>"."""
+"""Condition to the verb for its loss; for others: "no longer <name>"."""
 PHRASES = {
     "pressing_links": "{} fingers pressed it", "lift_m": "lifted {}", "turned_deg": "turned by {}",
     "turned_rad": "turned by {}", "along_m": "moved {} along the direction", "finger_travel_m": "pressed down {}",
     "support_force_n": "its support carried {}",
 }  # fmt: skip
-"""Measure to how a sentence names the greatest value that it reached; others are "<name> reached"."""
+"""Measure to a sentence's words for its largest value; for others: "<name> reached"."""
 WORDS = {"pressing_links": "fingers pressing it", "table_force_n": "force on the table",
          "sideways_share": "offset in units of the opening"}  # fmt: skip
 """Measure to its name for people, where the name itself does not say it."""
 NOTHING = 0.02
 """Share of a bound below which a value is shown as 0."""
 TINY = 1e-6
-"""Bounds below it stand for "more than nothing"."""
+"""Bounds below this mean "more than 0"."""
 MOST_EVENTS = 2
 """Number of conditions that a sentence names."""
 
@@ -44,7 +44,7 @@ class ConditionCourse:
     name: str
     """Its name, e.g. ``lifted``."""
     measure: str
-    """Name of what is bounded, with its unit, e.g. ``lift_m``."""
+    """Name of the measure, with its unit, e.g. ``lift_m``."""
     values: Floats
     """The measure at each tick, shape (T,)."""
     holds: npt.NDArray[np.bool_]
@@ -54,7 +54,7 @@ class ConditionCourse:
     most: float = math.inf
     """Largest value at which it holds."""
     reason: str = ""
-    """Reason that is given while it does not hold."""
+    """Reason of a failure while it does not hold."""
     fatal: bool = False
     """Whether the task is lost once it has not held."""
 
@@ -92,7 +92,7 @@ class ConditionCourse:
 
     @property
     def peak_at(self) -> int:
-        """The tick of the measure's greatest value where it must be large, else of the nearest to its bounds."""
+        """The tick of the measure's largest value if it must be large, else of the value nearest to its bounds."""
         one_sided = math.isfinite(self.least) and not math.isfinite(self.most)
         return int(np.nanargmax(self.values)) if one_sided and np.isfinite(self.values).any() else self.best_at
 
@@ -114,7 +114,7 @@ def _ending(measure: str) -> str:
 
 
 def _number(value: float) -> str:
-    """Format a number with two digits that count, or one after the point."""
+    """Format a number with two significant digits, or one after the point."""
     text = f"{value:.1f}" if abs(value) >= 0.95 or abs(value) < 1e-9 else f"{value:.2g}"
     text = "0" if abs(value) < 0.005 else text
     return text.removesuffix(".0")
@@ -123,12 +123,12 @@ def _number(value: float) -> str:
 def what_happened(
     conditions: Sequence[ConditionCourse], *, solved: bool, reason: str, hold_s: float = 0.0, held_s: float = 0.0
 ) -> str:  # fmt: skip
-    """Return what happened in an episode that did not succeed, with numbers; empty if no condition tells.
+    """Return a description of an unsuccessful episode, with numbers; empty if no condition explains it.
 
     Args:
         conditions: Its conditions, in the order of their precedence.
         solved: Whether it succeeded.
-        reason: The reason that was given.
+        reason: Reason of the verdict.
         hold_s: Time that all conditions had to hold [s].
         held_s: Longest time that all of them held [s].
     """
@@ -167,17 +167,17 @@ def steps_told(words: Sequence[str], done_at: Sequence[int | None], number: int,
 
 
 def _else(one: ConditionCourse) -> bool:
-    """Return whether a broken condition means that something else happened, e.g. another object was moved."""
+    """Return whether a broken condition describes another event, e.g. that another object was moved."""
     return bool(one.reason) and not one.reason.startswith("not_")
 
 
 def _tells(one: ConditionCourse) -> bool:
-    """Return whether a broken condition says more than the one that decided: how far it came, or what else happened."""
+    """Return whether a broken condition adds to the deciding one: how far the episode came, or another event."""
     return math.isfinite(one.least) or (_else(one) and bool(one.holds.any()))
 
 
 def _event(one: ConditionCourse, cause: bool) -> tuple[int, str]:
-    """Return when the condition that decided was lost, or one came nearest, and that in words."""
+    """Return the tick at which the deciding condition was lost, or came nearest to its bounds, and a description."""
     lost = one.lost_at
     if lost is not None and (cause or not math.isfinite(one.least)):
         verb = LOST.get(one.name) or (_named(one.reason) if _else(one) else f"no longer {one.name.replace('_', ' ')}")
@@ -208,7 +208,7 @@ def _of_limit(one: ConditionCourse, tick: int) -> str:
 
 
 def _named(reason: str) -> str:
-    """Return what a reason means, as a part of a sentence."""
+    """Return the meaning of a reason, as a part of a sentence."""
     text = explained(reason).removesuffix(".")
     return text[0].lower() + text[1:]
 

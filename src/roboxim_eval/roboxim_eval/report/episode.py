@@ -1,4 +1,4 @@
-"""The page of one episode: its film in step with what was commanded, measured and judged, and why it ended so."""
+"""The page of one episode: its film in step with commands, measures and verdict, and the reason of its outcome."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ class Signals:
     curves: Sequence[Curve]
     """The curves, each in a chart of its own."""
     about: str = ""
-    """What their lines mean; empty: one line each."""
+    """Meaning of their lines; empty: one line each."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OtherWay:
-    """What another actor did in the same scene."""
+    """Episode of another actor in the same scene."""
 
     name: str
     """The actor."""
     outcome: str
     """How its episode ended."""
     text: str
-    """What happened, in words."""
+    """Description of the episode."""
     film: Film | None = None
     """Its film; none: without cameras."""
     link: str = ""
-    """Where its own page is; empty: nowhere."""
+    """Link to its own page; empty: none."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,13 +56,13 @@ class EpisodePage:
     actor: str
     """Policy that acted."""
     instruction: str
-    """What it was told."""
+    """The instruction that it received."""
     outcome: str
     """``success``, ``failure`` or ``error``."""
     reason: str
-    """Why it did not succeed."""
+    """Reason why it did not succeed."""
     told: str
-    """What happened, in a sentence with numbers."""
+    """Description of the episode, a sentence with numbers."""
     message: str
     """Details for a person."""
     steps: int
@@ -72,11 +72,11 @@ class EpisodePage:
     tick_s: float
     """Time between two ticks [s]."""
     conditions: Sequence[ConditionCourse]
-    """What it was judged by; empty: unknown."""
+    """Conditions of the verdict; empty: unknown."""
     signals: Sequence[Signals]
     """Actions, gripper, joints."""
     held: Sequence[Mapping[str, str]]
-    """What the scene held: a row for each object."""
+    """Objects of the scene, a row each."""
     facts: Mapping[str, str]
     """Further facts."""
     commands: str
@@ -84,19 +84,19 @@ class EpisodePage:
     film: Film | None = None
     """All its frames; none: it has no cameras."""
     others: Sequence[OtherWay] = ()
-    """What others did in the same scene."""
+    """Episodes of others in the same scene."""
     nobody: str = ""
-    """Why there is no other way, and how to get one; empty: there is one."""
+    """Why there are no others, and how to add some; empty: there are others."""
     log: str = ""
-    """What the policy printed."""
+    """Printed output of the policy."""
     log_note: str = ""
-    """Why its output is not there; empty: it is."""
+    """Why its output is missing; empty: it is available."""
     notes: Sequence[str] = field(default=())
-    """What a reader must know, e.g. that conditions are unknown."""
+    """Remarks for the reader, e.g. that conditions are unknown."""
 
 
 def cause_of(conditions: Sequence[ConditionCourse], reason: str) -> ConditionCourse | None:
-    """Return the condition that decided: the one that gives the reason, else the first that is broken at the end."""
+    """Return the deciding condition: the one that gives the reason, else the first that is broken at the end."""
     broken = [one for one in conditions if one.broken_at_end or (one.fatal and not one.holds.all())]
     named = [one for one in broken if reason in (one.reason, f"not_{one.name}")]
     return next(iter([*named, *broken]), None)
@@ -110,7 +110,7 @@ def lost_at(one: ConditionCourse) -> int | None:
 
 
 def state_of(one: ConditionCourse) -> str:
-    """Return how a condition fared, in words."""
+    """Return the history of a condition, in words."""
     lost = lost_at(one)
     if lost is not None:
         return f"lost at tick {lost}"
@@ -167,11 +167,11 @@ def _data(page: EpisodePage) -> Markup:
 SPARKS = "▁▂▃▄▅▆▇█"
 SPARK_WIDTH = 48
 FLAT = 1e-4
-"""Range of values, as a share of them, that is drawn as no change."""
+"""Relative ranges of values up to this size are drawn as constant."""
 
 
 def sparkline(values: npt.ArrayLike, width: int = SPARK_WIDTH) -> str:
-    """Return a line of blocks: the mean of each part of the values, from their least to their greatest."""
+    """Return a line of blocks: the mean of each part of the values, scaled from their smallest to their largest."""
     numbers = np.asarray(values, float)
     numbers = numbers[np.isfinite(numbers)]
     if not len(numbers):
@@ -233,11 +233,11 @@ def _folded(text: str) -> Iterator[str]:
 
 
 def _ends(curve: Curve) -> tuple[float, float]:
-    """Return the least and the greatest value of a curve's first line."""
+    """Return the smallest and the largest value of a curve's first line."""
     return float(np.nanmin(curve.lines[0])), float(np.nanmax(curve.lines[0]))
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return rows with columns of one width."""
+    """Return rows with aligned columns."""
     widths = [max(len(row[n]) for row in rows) for n in range(len(rows[0]))] if rows else []
     return ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -47,7 +47,7 @@ class Episode:
     """Recorded factors."""
 
     told: str = ""
-    """What happened in it, in a sentence with numbers; empty: unknown, or it succeeded."""
+    """Description, a sentence with numbers; empty: unknown, or it succeeded."""
     page: str = ""
     """Path of its own page, from the folder of the page; empty: none."""
 
@@ -58,12 +58,12 @@ class Episode:
 
     @property
     def scene_key(self) -> tuple[int, str, str]:
-        """What episodes that met the same scene share: training, cell and scene."""
+        """Key that episodes in the same scene share: training, cell and scene."""
         return self.replicate, self.cell, self.scene
 
     @property
     def trial(self) -> Trial:
-        """The episode, as the test of factors sees it."""
+        """The episode, in the form for the test of factors."""
         stratum = f"{self.arm}.{self.replicate} {self.cell}"
         return Trial(
             episode=f"{stratum}/{self.scene}", stratum=stratum, scene=f"{self.replicate} {self.cell}/{self.scene}",
@@ -96,11 +96,11 @@ def episodes_link(**query: object) -> str:
 
 
 Link = Callable[..., str]
-"""Properties of episodes, as of `episodes_link`, to where they are listed; empty: nowhere."""
+"""Properties of episodes, as of `episodes_link`, to the link that lists them; empty: no link."""
 
 
 def no_link(**_: object) -> str:
-    """Return no link: the page's episodes are not there."""
+    """Return no link, for pages without episodes."""
     return ""
 
 
@@ -114,7 +114,7 @@ def links_into(page: str) -> Link:
 
 
 def any_of(values: Iterable[object]) -> str:
-    """Return the value of a link's property that episodes with any of some values have."""
+    """Return the value of a link's property that selects episodes with any of some values."""
     return "|".join(map(str, values))
 
 
@@ -134,14 +134,14 @@ def level_links(factor: str, values: Mapping[str, str], link: Link, **query: obj
 
 
 def _chosen(level: str, values: Collection[str]) -> str:
-    """Return a level, or the range from its least to its greatest number, both included."""
+    """Return a level, or the range from its smallest to its largest number, both included."""
     if set(values) == {level}:
         return level
     return f"from {min(values, key=float)} to {max(values, key=float)}"
 
 
 def checkpoint_arm(condition: str, steps: int) -> str:
-    """Return the arm of a learning curve's episodes, which belong to no other number of a page."""
+    """Return the arm of a learning curve's episodes, which count in no other number of a page."""
     return f"{condition}@{steps}"
 
 

@@ -1,6 +1,6 @@
-"""The report of an evaluation: policies on the same scenes, with rates, comparisons and what failures did instead.
+"""The report of an evaluation: policies on the same scenes, with rates, comparisons and descriptions of failures.
 
-The input is plain values: results, and what the caller has read from bags.
+The input is plain values: results, and facts that the caller has read from bags.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class PolicyRun:
     starts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Episode id to the place of the task's first object at tick 0: x away from the robot, y to its left [m]."""
     told: Mapping[str, str] = field(default_factory=dict)
-    """Episode id to what happened in it, in a sentence with numbers."""
+    """Episode id to its description, a sentence with numbers."""
     pages: Mapping[str, str] = field(default_factory=dict)
     """Episode id to the path of its own page, from the page's folder."""
     scenes: Mapping[str, str] = field(default_factory=dict)
@@ -123,13 +123,13 @@ class Report:
     command: str
     """Command that reproduces the evaluation."""
     stopped: str = ""
-    """How the number of episodes was decided, where it was not fixed beforehand; empty: it was fixed."""
+    """Rule for the number of episodes; empty: it was fixed beforehand."""
     undecided: bool = False
     """Whether planned looks at the results did not decide; then the comparison does not decide either."""
     place: Place | None = None
-    """Where robot and table are; none: unknown, or not the same in all episodes."""
+    """Positions of robot and table; none: unknown, or not the same in all episodes."""
     warnings: Sequence[str] = ()
-    """What weakens the results."""
+    """Limitations of the results."""
 
 
 def _rates_by_name(results: Sequence[EpisodeResult], names: Mapping[str, str]) -> dict[str, SuccessRate]:
@@ -151,7 +151,7 @@ def comparisons(runs: Sequence[PolicyRun], *, undecided: bool = False) -> list[V
     Args:
         runs: Runs of the policies, the one under test first.
         undecided: Whether planned looks at the results did not decide. Then no policy is called better, and p is 1: a
-            test that knows nothing of the looks would have more false alarms.
+            test that ignores the looks would have more false alarms.
     """
     measured = [run for run in runs if is_measured(run.results)]
     if not runs or not measured or measured[0] is not runs[0]:

@@ -1,7 +1,7 @@
-"""The report of an experiment: what its card says, in sentences and pictures, and the episodes behind each number.
+"""The report of an experiment: its card in sentences and pictures, and the episodes behind each number.
 
-Everything but episodes, films, maps and factors is from the card alone, so that a card without its folder has a page
-too.
+Everything except episodes, films, maps and factors comes from the card alone, so a card without its folder also has a
+page.
 """
 
 from __future__ import annotations
@@ -66,11 +66,11 @@ class ExperimentPage:
     films: Mapping[int, Film] = field(default_factory=dict)
     """Place in `episodes` to a film."""
     place: Place | None = None
-    """Where robot and table are; none: unknown, or not the same in all episodes."""
+    """Positions of robot and table; none: unknown, or not the same in all episodes."""
     command: str = ""
     """Command that runs the experiment again."""
     warnings: Sequence[str] = ()
-    """What weakens the results besides the card's warnings, e.g. that the scene alone tells the object."""
+    """Limitations besides the card's warnings, e.g. that the scene alone reveals the object."""
 
 
 def experiment_page(page: ExperimentPage) -> str:
@@ -176,7 +176,7 @@ def _kinds(card: Card) -> list[tuple[str, str, list[tuple[str, str]]]]:
 
 
 def _cells_line(design: Design) -> str:
-    """Return what "cell" and "unseen" mean here; empty where all cells are seen."""
+    """Return an explanation of "cell" and "unseen"; empty if all cells are seen."""
     unseen = sum(cell.unseen for cell in design.cells)
     if not unseen:
         return ""
@@ -366,7 +366,7 @@ def primary_forest(card: Card, design: Design, arms: Mapping[str, Arm], link: Li
 
 
 def provenance_of(card: Card) -> dict[str, str]:
-    """Return where a card's results come from, for a table."""
+    """Return the provenance of a card's results, for a table."""
     code, environment = card.code, card.environment
     commit = f"{code.commit[:12]}{', with uncommitted changes' if code.dirty else ''}" if code.commit else "-"
     return {

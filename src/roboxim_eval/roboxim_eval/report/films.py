@@ -1,4 +1,4 @@
-"""Films for a page that opens offline: the frames below one another in one picture, which a script shows one by one.
+"""Films for a page that opens offline: one picture with the frames below one another, which a script shows in turn.
 
 A browser decodes such a strip once, so that a film pauses and scrubs without any codec, in a page without other files.
 """

@@ -21,7 +21,7 @@ def experiment_markdown(card: Card, *, level: int = 1, warnings: Sequence[str] =
     Args:
         card: A card whose scores follow from its counts.
         level: Level of its heading.
-        warnings: What weakens its results besides its card's warnings.
+        warnings: Further limitations of its results, besides its card's warnings.
 
     Raises:
         ConfigError: When the card lacks counts of a condition or a cell.
@@ -34,7 +34,7 @@ def benchmark_markdown(card: BenchmarkCard, *, warnings: Mapping[str, Sequence[s
 
     Args:
         card: A card whose scores follow from its experiments.
-        warnings: Experiment to what weakens its results besides its card's warnings.
+        warnings: Experiment to further limitations of its results, besides its card's warnings.
 
     Raises:
         ConfigError: When an experiment's card lacks counts of a condition or a cell.
@@ -92,7 +92,7 @@ def _rate(name: str, arm: Arm) -> tuple[str, ...]:
 
 
 def _by_cell(cells: Sequence[Cell], arms: Mapping[str, Arm]) -> str:
-    """Return the counts of the cells that were evaluated; rows are what there is more of, so that it stays narrow."""
+    """Return the counts of the evaluated cells; the longer dimension forms the rows, so that the table stays narrow."""
     names = [f"**{cell.key}**" if cell.unseen else cell.key for cell in cells]
     counts = [tuple(_count(arm, cell.key) for arm in arms.values()) for cell in cells]
     rows = [(name, *row) for name, row in zip(names, counts, strict=True) if set(row) != {"-"}]

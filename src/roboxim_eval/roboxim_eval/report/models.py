@@ -18,7 +18,7 @@ def models_page(models: Models, cards: Mapping[str, Card], pages: Mapping[str, s
     Args:
         models: The comparison.
         cards: Model to its card, for its own scores.
-        pages: Model to the address of its own page, which has its episodes; none: a model's numbers lead nowhere.
+        pages: Model to the address of its own page, which has its episodes; none: no links.
     """
     links = {name: links_into((pages or {}).get(name, "")) for name in cards}
     met = {"arm": models.condition, "cell": any_of(models.cells)}

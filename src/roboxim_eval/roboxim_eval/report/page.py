@@ -17,7 +17,7 @@ def render(template: str, **values: Any) -> str:
 
     Args:
         template: Name of a template of this package.
-        values: What the template shows; all texts are escaped.
+        values: Values of the template; all texts are escaped.
     """
     return _environment().get_template(template).render(**values)
 

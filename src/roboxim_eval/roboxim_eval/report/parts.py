@@ -1,4 +1,4 @@
-"""Parts that pages have in common: failures, maps, films, breakdowns. Each is what its macro shows."""
+"""Parts that pages share: failures, maps, films, breakdowns. Each returns the values for its macro."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from roboxim_eval.statistics.factors import NOT_DRAWN, factor_effects, level_ord
 from roboxim_eval.statistics.rates import success_rate
 
 TASK = "task"
-"""The factor by which a mix or a suite has tasks; its table is the first one."""
+"""The factor for the tasks of a mix or a suite; its table comes first."""
 INSTRUCTION = "instruction"
 """The factor that every episode has, recorded or not."""
 
@@ -53,11 +53,11 @@ def map_view(episodes: Sequence[Episode], arms: Sequence[str], place: Place | No
 
 
 def scene_patterns(episodes: Sequence[Episode], arms: Sequence[str]) -> list[tuple[str, int, str]]:
-    """Return what arms did in the scenes that all of them met, in words, with the number of scenes and their link.
+    """Return the patterns of outcomes in scenes that all arms met, in words, with the number of scenes and the link.
 
     Args:
         episodes: All episodes of the page; their place is their number.
-        arms: The arms; of more than three, only "all", "some" and "none" are told apart.
+        arms: The arms; with more than three, only "all", "some" and "none" are distinguished.
     """
     met: dict[tuple[int, str, str], dict[str, int]] = {}
     for number, e in enumerate(episodes):
@@ -84,7 +84,7 @@ def _who(solved: Sequence[str], arms: Sequence[str]) -> str:
 def film_groups(
     episodes: Sequence[Episode], films: Mapping[int, Film], arms: Sequence[str]
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Return the films by scene, those of one scene side by side, scenes that not all solved first.
+    """Return the films by scene, side by side for each scene; scenes that some arm did not solve come first.
 
     Args:
         episodes: All episodes of the page.
@@ -112,7 +112,7 @@ def _solved(group: Mapping[str, Any]) -> tuple[int, float]:
 
 
 def films_shown(episodes: Sequence[Episode], films: Mapping[int, Film]) -> str:
-    """Return how many of how many films are shown, in words."""
+    """Return the number of shown films and of all films, in words."""
     failed = [number for number, e in enumerate(episodes) if not e.success]
     solved = len(episodes) - len(failed)
     if len(films) == len(episodes):
@@ -130,7 +130,7 @@ def breakdowns(
     """Return the success of each arm by each recorded factor and by instruction; arms are never pooled.
 
     Factors that divide the episodes in the same way are one table. The p value of a factor is that of the permutation
-    test within arm, training and cell; none where the factor is the design's.
+    test within arm, training and cell; none if the factor belongs to the design.
 
     Args:
         episodes: Episodes of the arms.

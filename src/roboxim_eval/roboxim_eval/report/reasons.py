@@ -1,11 +1,11 @@
-"""What the reasons of failures and errors mean, in a sentence each."""
+"""Meanings of the reasons of failures and errors, a sentence each."""
 
 from __future__ import annotations
 
 import re
 
 EXPLANATIONS = {
-    # the policy did not get there
+    # the goal was not reached
     "max_steps": "The limit of actions was reached before any condition was.",
     "not_grasped": "The fingers did not hold the object from two sides.",
     "not_lifted": "The object was held or touched, but not raised far enough.",
@@ -67,7 +67,7 @@ UNNAMED = "unnamed"
 
 
 def explained(reason: str) -> str:
-    """Return what a reason means; one that is not known is spelled out, e.g. a plug-in's ``not_watered``."""
+    """Return the meaning of a reason; an unknown one is spelled out, e.g. a plug-in's ``not_watered``."""
     if reason in EXPLANATIONS:
         return EXPLANATIONS[reason]
     if not reason or reason == UNNAMED:

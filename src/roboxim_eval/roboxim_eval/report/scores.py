@@ -1,4 +1,4 @@
-"""The scores of an experiment's card: names, values, what they say, and the episodes behind them."""
+"""The scores of an experiment's card: names, values, meanings, and the episodes behind them."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ SCORES = {
                      "episodes that satisfied another instruction of the training; 0 says nothing where no scene "
                      "allows one"),
 }  # fmt: skip
-"""Score of a card to its name in tables, what a reader calls it, and what it says."""
+"""Score of a card to its name in tables, its description, and its meaning."""
 POINTS = ("gap", "words", "competence")
 """Scores that are differences, shown in points."""
 
 
 def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
-    """Yield names, value, interval, meaning and link of each score; a refused or unmeasured one says why.
+    """Yield names, value, interval, meaning and link of each score; for a refused or unmeasured one, the reason.
 
     Args:
         card: The card.
@@ -49,7 +49,7 @@ def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
         elif key == "substitution" and value is not None:
             if value["failed"]:
                 shown, interval = _score(value["rate"], points=False)
-                if not value["rate"][0]:  # the task files tell, which a card does not hold
+                if not value["rate"][0]:  # known from the task files, which a card does not hold
                     interval += ", if scenes allow another instruction"
             else:
                 interval = "no held-out episode failed"
@@ -60,7 +60,7 @@ def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
 
 
 def behind_scores(card: Card) -> dict[str, dict[str, str]]:
-    """Return the properties of the episodes that each score of a card is from."""
+    """Return the properties of the episodes behind each score of a card."""
     config, cells = card.experiment.config, design_of_card(card).cells
     primary = config.primary
     assert primary is not None, "a card has no scores otherwise"
@@ -89,7 +89,7 @@ def _score(value: Sequence[float | None], *, points: bool) -> tuple[str, str]:
 
 
 def substitutions(card: Card, link: Link) -> list[tuple[str, str, int, int, str]]:
-    """Return held-out cell, what was done instead, of how many failures, and their link, most frequent first."""
+    """Return held-out cell, the instruction satisfied instead, number of failures, link; most frequent first."""
     judged, primary = card.judged_again or (), card.experiment.config.primary
     failed = Counter(row.cell for row in judged)
     found = Counter((row.cell, sorted(row.satisfied)[0]) for row in judged if row.satisfied)

@@ -1,4 +1,4 @@
-"""How other generalisation suites name what an experiment varies.
+"""Names that other generalisation suites have for the variations of an experiment.
 
 Names are those of the Colosseum's 14 perturbation factors (Pumacay et al. 2024), of the axes of STAR-Gen's taxonomy
 (Gao et al. 2025) and of LIBERO-plus' 7 dimensions (Fei et al. 2025). They are matched by the keys of a task that a
@@ -30,18 +30,18 @@ class Names:
 
 @dataclass(frozen=True, kw_only=True)
 class Varied:
-    """Something that an experiment varies."""
+    """A variation of an experiment."""
 
     what: str
     """A factor or a condition of the experiment, or factors that held-out cells combine anew."""
     key: str
-    """Keys of the task that it changes, or the key of the experiment that says so."""
+    """Keys of the task that it changes, or the key of the experiment that defines it."""
     names: Names | None
-    """What other suites call it; none: not known here."""
+    """Its names in other suites; none: not known here."""
 
 
 NOISY = "_noisy"
-"""End of the names of views whose images are noisy, which a key alone does not tell."""
+"""Ending of the names of views with noisy images, which the key alone does not show."""
 IMAGES = Names(star_gen="visual: image augmentations", libero_plus="sensor noise")
 LIGHT_COLOUR = Names(colosseum="light colour", star_gen="visual: scene", libero_plus="light conditions")
 BY_KEY: tuple[tuple[str, Names], ...] = (
@@ -96,7 +96,7 @@ BY_KEY: tuple[tuple[str, Names], ...] = (
 """Part of a key's path to its names; the first one that is in the path counts."""
 WORDS = Names(star_gen="semantic: language rephrase", libero_plus="language instructions")
 NO_NAMES = Names()
-"""What no other suite varies: a policy without any instruction, and one whose answers arrive late."""
+"""Variations that no other suite has: a policy without any instruction, and one whose answers arrive late."""
 NEW_COMBINATION = Names(star_gen="combined: seen levels, not seen together")
 RANGE = {"values", "lower", "upper", "minimum", "maximum", "names"}
 """Keys of a range of values, below which no further names follow."""
@@ -105,7 +105,7 @@ NEW_OBJECT = Names(star_gen="behavioural: new object")
 
 
 def vocabulary(config: ExperimentConfig, cells: Iterable[Cell]) -> tuple[Varied, ...]:
-    """Return what an experiment varies, with the names of other suites.
+    """Return the variations of an experiment, with their names in other suites.
 
     Args:
         config: The experiment.
@@ -151,7 +151,7 @@ def _new_together(config: ExperimentConfig, cells: tuple[Cell, ...]) -> Iterable
 
 
 def _only_held_out(cells: Iterable[Cell], factor: str) -> bool:
-    """Tell whether a level of a factor is in held-out cells alone."""
+    """Return whether a level of a factor occurs only in held-out cells."""
     levels: dict[bool, set[str]] = {True: set(), False: set()}
     for cell in cells:
         levels[cell.unseen].add(cell.levels[factor])

@@ -1,4 +1,4 @@
-"""Variance components of success rates: what trainings, cells and scenes add to the uncertainty of a mean.
+"""Variance components of success rates: the contributions of trainings, cells and scenes to the uncertainty of a mean.
 
 Each training r of a condition has a success rate in each cell c, so that a condition is a table y[r, c]. The model is::
 
@@ -57,17 +57,17 @@ class Components:
 
     @property
     def cell_training(self) -> float | None:
-        """Variance of what a training does in a cell beyond both; none: one training or one cell."""
+        """Variance of the interaction of trainings and cells; none: one training or one cell."""
         return max(0.0, self.mean_squares[2] - self.scene) if min(self.replicates, self.cells) > 1 else None
 
     @property
     def observed(self) -> float:
-        """Variance of the trainings' own means, the share of their rollouts included."""
+        """Variance of the trainings' means, including the part due to their rollouts."""
         return self.mean_squares[0] / self.cells
 
     @property
     def rollouts(self) -> float:
-        """Share of `observed` that is due to the number of rollouts alone."""
+        """Part of `observed` that is due to the number of rollouts."""
         return self.scene / self.cells
 
     def variance(self, replicates: int, episodes: float, *, cells: int = 0) -> float:
@@ -186,7 +186,7 @@ def _table(arm: Arm, keys: Sequence[str]) -> tuple[Array, Array, Array]:
     counts = np.array([[(r[key].successes, r[key].episodes) for key in keys] for r in arm.replicates], float)
     successes, episodes = counts[..., 0], counts[..., 1]
     rates = successes / episodes
-    pooled = successes.sum(axis=0) / episodes.sum(axis=0)  # single rollouts have no variance of their own
+    pooled = successes.sum(axis=0) / episodes.sum(axis=0)  # the variance of a single rollout cannot be estimated
     alone = pooled * (1 - pooled) / episodes
     scene = np.where(episodes > 1, rates * (1 - rates) / np.maximum(episodes - 1, 1), alone)
     return rates, scene, episodes

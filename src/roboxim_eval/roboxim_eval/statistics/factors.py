@@ -1,4 +1,4 @@
-"""Effect of recorded factors on the success, e.g. of the drawn light: exploratory, since nobody asked beforehand.
+"""Effect of recorded factors on the success, e.g. of the drawn light: exploratory, without prior hypotheses.
 
 Policies, trainings and cells differ in difficulty. Therefore episodes are only compared within their stratum (policy,
 training and cell). Scenes differ in difficulty too, and several policies meet the same scene with the same draws. Their
@@ -32,14 +32,15 @@ NOT_DRAWN = "not drawn"
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """An episode, as the test sees it."""
+    """An episode, in the form for the test."""
 
     episode: str
     """Unique name."""
     stratum: str
     """Policy, training and cell."""
     scene: str
-    """What it met, e.g. training, cell and number; strata that met the same scene share it, each meets it once."""
+    """Name of its scene, e.g. training, cell and number; strata that met the same scene share the name, each met it
+    once."""
     success: bool
     """Whether it succeeded."""
     drawn: Mapping[str, str]
@@ -69,8 +70,8 @@ class FactorEffect:
 def factor_effects(trials: Sequence[Trial], *, seed: int = 0) -> tuple[FactorEffect, ...]:
     """Return the effect of each recorded factor that varies within strata, the smallest p value first.
 
-    A factor that is constant within each stratum, e.g. the one by which cells are defined, is left out: the design
-    compares it.
+    A factor that is constant within each stratum, e.g. the one by which cells are defined, is left out, because the
+    design compares it.
 
     Args:
         trials: The episodes, in any order.
@@ -103,7 +104,7 @@ def factor_effects(trials: Sequence[Trial], *, seed: int = 0) -> tuple[FactorEff
 
 
 def _groups(trials: Sequence[Trial], factor: str) -> list[str]:
-    """Return the group of each episode; empty: the values are too many names."""
+    """Return the group of each episode; empty: there are too many different names."""
     groups = grouped({t.episode: t.drawn[factor] for t in trials if factor in t.drawn})
     return [groups.get(trial.episode, NOT_DRAWN) for trial in trials] if groups else []
 
@@ -132,7 +133,7 @@ def _shuffles(trials: Sequence[Trial], residuals: Array, rng: np.random.Generato
         met[scene].add(stratum)
     numbers: dict[frozenset[int], int] = {}
     groups = np.array([numbers.setdefault(frozenset(met[scene]), len(numbers)) for scene in range(len(met))])
-    order = np.argsort(groups, kind="stable")  # group after group, in which keys of 0..1 then permute
+    order = np.argsort(groups, kind="stable")  # sorts by group; keys of 0..1 permute within a group
     rows = max(CHUNK // len(trials), 1)
     for done in range(0, PERMUTATIONS, rows):
         keys = rng.random((min(rows, PERMUTATIONS - done), len(groups))) + groups[order]
@@ -142,7 +143,7 @@ def _shuffles(trials: Sequence[Trial], residuals: Array, rng: np.random.Generato
 
 
 def _members(groups: Sequence[str]) -> Array:
-    """Return which group each episode is in, as 0 or 1, shape (episodes, groups)."""
+    """Return the membership of episodes in groups, as 0 or 1, shape (episodes, groups)."""
     members: Array = (np.array(groups)[:, None] == np.unique(groups)).astype(float)
     return members
 

@@ -1,6 +1,6 @@
 """Comparison of two policies: on the same scenes (exact McNemar) and on different ones (Boschloo).
 
-This answers Q1 alone, whether *this checkpoint* is better than that one. It says nothing about the training conditions
+This answers only Q1, whether *this checkpoint* is better than that one. It says nothing about the training conditions
 of the checkpoints, see `roboxim_eval.statistics.replicates`.
 """
 
@@ -85,7 +85,7 @@ class Pairs:
         )  # fmt: skip
 
     def __add__(self, other: Pairs) -> Pairs:
-        """Return the counts of both sets of scenes together."""
+        """Return the summed counts of both sets of scenes."""
         return Pairs(
             both=self.both + other.both, first=self.first + other.first, second=self.second + other.second,
             neither=self.neither + other.neither,

@@ -1,11 +1,11 @@
-"""Planning: which difference a design can find, and with which chance.
+"""Planning: the difference that a design can find, and the chance to find it.
 
 The model: a training's success rate deviates from that of its recipe by ``training_spread`` (standard deviation), and
 its rollouts deviate from its rate by chance. Scenes differ in difficulty (standard deviation ``SCENE_SPREAD`` on the
 logit). Difficulty cancels where both conditions meet the same scenes.
 
 Where both sides of a comparison are the same checkpoints, a training's deviation shifts both rates by the same amount
-on the logit, and nearly cancels. That is an assumption too: trainings may react differently to what is changed.
+on the logit, and nearly cancels. That is also an assumption: trainings may react differently to the change.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def _mcnemar_power(scenes: int, first: float, second: float, alpha: float) -> fl
         return 0.0
     discordant = np.arange(scenes + 1)
     limits = binom.ppf(alpha / 2, discordant, 0.5)
-    limits -= binom.cdf(limits, discordant, 0.5) > alpha / 2  # the most successes of one of them that show it is worse
+    limits -= binom.cdf(limits, discordant, 0.5) > alpha / 2  # largest number of wins of one that shows it is worse
     share = only_first / (only_first + only_second)
     below, above = binom.cdf(limits, discordant, share), binom.sf(discordant - limits - 1, discordant, share)
     found = np.where(limits >= 0, below + above, 0.0)

@@ -44,8 +44,8 @@ class SuccessRate:
 def success_rate(successes: int, episodes: int) -> SuccessRate:
     """Return a success rate with its interval at 95 %.
 
-    The interval is Wilson's score interval. If no episode or every episode succeeded it has one side alone, and its
-    bound is Clopper's and Pearson's at 97.5 %: Wilson's interval is too narrow there.
+    The interval is Wilson's score interval. If no episode or every episode succeeded, it is one-sided, and its bound is
+    Clopper's and Pearson's at 97.5 %, because Wilson's interval is too narrow there.
 
     Args:
         successes: Episodes that succeeded.
@@ -99,7 +99,7 @@ def error_reasons(results: Iterable[EpisodeResult]) -> dict[str, int]:
 
 
 def is_measured(results: Sequence[EpisodeResult]) -> bool:
-    """Tell whether results measure a policy: false if more than half of the episodes ended in an error."""
+    """Return whether results measure a policy: false if more than half of the episodes ended in an error."""
     return 2 * sum(error_reasons(results).values()) <= len(results)
 
 

@@ -1,6 +1,6 @@
 """Comparison of two training conditions over replicates (Q2).
 
-Success rates of the *same* recipe differ between trainings, by several points. Rollouts of one training therefore say
+Success rates of the *same* recipe differ between trainings, by several points. Rollouts of one training therefore show
 nothing about the recipe, however many there are: a pooled McNemar test finds differences between equal conditions in a
 quarter of all experiments. The trainings are the sample here: one difference of success rates for each replicate, and
 Student's t over them.
@@ -28,12 +28,12 @@ from roboxim_eval.statistics.training_spread import mean_rate_interval
 MANY = 10**9
 """Degrees of freedom at which Student's t is the normal distribution."""
 LEAST_REPLICATES = 3
-"""Number of trainings below which nothing is said about a training condition."""
+"""Number of trainings below which no statement about a training condition is made."""
 
 
 @lru_cache(maxsize=4096)
 def _t_limit(probability: float, freedom: int) -> float:
-    """Return a quantile of Student's t, which SciPy takes a while to compute."""
+    """Return a cached quantile of Student's t, which SciPy computes slowly."""
     from scipy.stats import t as student
 
     return float(student.ppf(probability, freedom))
@@ -93,7 +93,7 @@ class ConditionDifference:
         )
 
     def _rollouts_alone(self, confidence: float) -> tuple[float, float]:
-        """Return how far the interval of the rollouts alone extends below and above the difference."""
+        """Return the distances of the bounds of the rollouts' interval below and above the difference."""
         first, second = self.rollouts
         scale = _t_limit((1 + confidence) / 2, MANY) / NORMAL
         if self.pairs is not None and self.pairs.scenes:
@@ -159,7 +159,7 @@ def condition_difference(
         raise InvalidRequestError(f"conditions are compared on equal cells; these differ: {odd}")
     differences = first.rates - second.rates
     alone = len(first.replicates) == 1  # Q1: scenes are the sample
-    even = len({count.episodes for count in first.by_cell.values()}) == 1  # else scenes of some cells would weigh more
+    even = len({count.episodes for count in first.by_cell.values()}) == 1  # else some cells would weigh more
     return ConditionDifference(
         differences=tuple(float(d) for d in differences),
         rollouts=(_pooled(first), _pooled(second)),
@@ -168,9 +168,10 @@ def condition_difference(
 
 
 def _equal_rollouts(arm: Arm) -> float:
-    """Return the number of rollouts in equally full cells that would tell the mean of the cells' rates as exactly.
+    """Return the number of rollouts in equally full cells that would give the mean of the cells' rates as exactly.
 
-    With n_c rollouts in each of C cells these are C^2 / sum(1 / n_c): all rollouts if the cells have equally many.
+    With n_c rollouts in cell c of C cells, it is C^2 / sum(1 / n_c), which equals all rollouts if cells have equal
+    numbers.
     """
     counts = [count.episodes for count in arm.by_cell.values() if count.episodes]
     return len(counts) ** 2 / sum(1 / count for count in counts)
@@ -189,8 +190,8 @@ def condition_rate(arm: Arm) -> Interval:
     """Return the success rate of a condition over its trainings, with its 95 % interval.
 
     The interval is the union of three: Student's t over the trainings' rates, that of the rollouts alone, and
-    `mean_rate_interval`, which holds where trainings agree by chance near 0 and 1. ``student`` omits the last one. One
-    training has the interval of its rollouts alone, which says nothing about other trainings.
+    `mean_rate_interval`, which holds where trainings agree by chance near 0 and 1. ``student`` omits the last one. For
+    one training, it is the interval of its rollouts alone, which shows nothing about other trainings.
     """
     pooled, rates = _pooled(arm), arm.rates
     below, above = pooled.rate - pooled.low, pooled.high - pooled.rate
@@ -225,7 +226,7 @@ def condition_ratio(first: Arm, second: Arm) -> Interval:
     ratio = float(u.mean() / s.mean())
     if replicates < 2:
         return Interval(value=ratio, low=0.0, high=math.inf)
-    if not u.mean():  # no logarithm: the rates that the outcomes are compatible with
+    if not u.mean():  # no logarithm exists: use the rates that are compatible with the outcomes
         least = condition_rate(second).low
         return Interval(value=0.0, low=0.0, high=condition_rate(first).high / least if least else math.inf)
     deviation = u / u.mean() - s / s.mean()
@@ -266,15 +267,14 @@ def more_trainings(
         max_trainings: Number of trainings above which none is returned.
 
     Returns:
-        Number in addition to the present ones; none if one replicate does not tell, or if it is beyond
-        ``max_trainings``.
+        Number in addition to the present ones; none for one replicate, or if it is above ``max_trainings``.
     """
     if difference.replicates < 2 or margin <= 0:
         return None
-    alpha = max(alpha, 1e-9)  # beyond it the quantiles become infinite
+    alpha = max(alpha, 1e-9)  # above this, the quantiles become infinite
     first, second = difference.rollouts
     episodes = (first.episodes + second.episodes) / 2 / difference.replicates
-    spread = max(difference.spread, 1 / max(1.0, episodes))  # a spread of 0 is chance
+    spread = max(difference.spread, 1 / max(1.0, episodes))  # a spread of 0 occurs by chance
     least = math.ceil(((_t_limit(1 - alpha / 2, MANY) + _t_limit(0.8, MANY)) * spread / margin) ** 2)
     for replicates in range(max(2, difference.replicates, least), max_trainings + 1):
         needed = _t_limit(1 - alpha / 2, replicates - 1) + _t_limit(0.8, replicates - 1)

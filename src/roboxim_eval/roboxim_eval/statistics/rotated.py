@@ -2,10 +2,11 @@
 
 Two intervals answer two questions:
 
-- **cells as a sample**: how are the conditions in all cells that could have been held out? Each set of cells is one
-  observation, whatever its number of trainings: Student's t over the sets.
-- **these cells**: how are they in the cells of this design? With several trainings of each set, their spread within the
-  sets is the error; with one, the spread between sets, which is too wide for this question, but never too narrow.
+- **cells as a sample**: how good are the conditions in all cells that could have been held out? Each set of cells is
+  one observation, whatever its number of trainings: Student's t over the sets.
+- **these cells**: how good are they in the cells of this design? With several trainings of each set, their spread
+  within the sets is the error; with one, the spread between sets, which is too wide for this question, but never too
+  narrow.
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ def _of_these_cells(parts: Sequence[Part], gap: ConditionDifference) -> Interval
     freedom = differences.size - len(parts)
     spread = math.sqrt(float(differences.var(axis=1, ddof=1).mean()))
     half = student_limit(freedom) * spread / math.sqrt(differences.size)
-    alone = replace(gap, differences=(gap.value,) * len(parts)).interval()  # no spread: the rollouts' part
+    alone = replace(gap, differences=(gap.value,) * len(parts)).interval()  # no spread: use the rollouts' part
     among = Interval(
         value=gap.value, low=min(gap.value - half, alone.low), high=max(gap.value + half, alone.high)
     )  # fmt: skip
@@ -119,7 +120,7 @@ def _of_these_cells(parts: Sequence[Part], gap: ConditionDifference) -> Interval
 
 
 def _within_sets(arms: Sequence[Arm]) -> Interval:
-    """Return the interval of a rate over these cells: `mean_rate_interval` without what sets differ by."""
+    """Return the interval of a rate over these cells: `mean_rate_interval` without the differences between sets."""
     rates = np.array([arm.rates for arm in arms])  # (sets, trainings)
     trainings = rates.shape[1]
     spread = (rates - rates.mean(axis=1, keepdims=True)) * math.sqrt(trainings / (trainings - 1))

@@ -1,4 +1,4 @@
-"""Scores of an experiment with held-out cells: how well a policy combines what it has seen apart.
+"""Scores of an experiment with held-out cells: how well a policy combines levels that it has seen only separately.
 
 With u the success rate of the leave-out condition in held-out cells, s that of the baseline, b that of the leave-out
 condition without words (``blind``), and u_seen, s_seen the rates in cells that both have seen:
@@ -9,13 +9,12 @@ score         formula            guards against
 absolute      u                  a good ratio of two bad policies; it ranks models
 gap           s - u              the blow-up of a ratio; the primary test
 relative      u / s              nothing by itself, so it never stands alone; refused if the baseline is too weak
-words         u - b              a policy that only looks
-substitution  see below          memorised pairs
+words         u - b              a policy that ignores the instruction substitution  see below          memorised pairs
 competence    u_seen - s_seen    different numbers of demonstrations a cell; a weakened baseline
 ============  =================  ===============================================================================
 
-Substitution is the share of failed held-out episodes that satisfied another instruction of the training. Where no scene
-allows one it is always 0; `roboxim_runs.experiments.scene_leakage` says so, by the task files.
+Substitution is the share of failed held-out episodes that satisfied another instruction of the training. If no scene
+allows one, it is always 0; `roboxim_runs.experiments.scene_leakage` reports this from the task files.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ class Relative:
     ratio: Interval | None
     """The ratio with its 95 % interval; none: refused."""
     refused: str = ""
-    """Why no ratio is stated; empty: it is."""
+    """Why no ratio is stated; empty: it is stated."""
 
     def __str__(self) -> str:
         """Format the ratio, or the reason."""
@@ -81,14 +80,14 @@ class Scores:
     substitution: Substitution | None = None
     """Memorised pairs; none: no bags were judged again."""
     warnings: tuple[str, ...] = ()
-    """What weakens the scores, in sentences."""
+    """Limitations of the scores, in sentences."""
 
 
 def relative_score(unseen: Arm, baseline: Arm, blind: Arm | None = None, *, refuse_below: float = 0.10) -> Relative:
     """Return u / s, or refuse it.
 
     It is refused if the lower bound of s is below ``refuse_below``, or if s is not above b: a baseline that fails, or
-    that a policy without words equals, is no measure of knowledge.
+    is no better than a policy without words, is not a measure of knowledge.
 
     Args:
         unseen: The leave-out condition in held-out cells.
@@ -193,7 +192,7 @@ def _weak_baseline(baseline: Interval, refuse_below: float) -> Iterable[str]:
 
 
 def _wordless(succeeds: bool, words: ConditionDifference | None, gap: ConditionDifference) -> Iterable[str]:
-    """Yield what speaks against an influence of the words: no blind policy, or one that is as good."""
+    """Yield evidence against an influence of the words: no blind policy, or one that is as good."""
     if words is None:
         yield "No policy without words was evaluated, so the scene alone may explain the success."
     elif succeeds and words.replicates >= LEAST_REPLICATES and not words.interval().low > 0:
@@ -205,7 +204,7 @@ def _wordless(succeeds: bool, words: ConditionDifference | None, gap: ConditionD
 
 
 def _unequal(competence: ConditionDifference | None) -> Iterable[str]:
-    """Yield that the conditions differ in cells that both have seen."""
+    """Yield a sentence if the conditions differ in cells that both have seen."""
     if competence is not None and competence.replicates >= LEAST_REPLICATES and competence.p_value <= 0.05:
         better = "the leave-out condition" if competence.value > 0 else "the baseline"
         yield (
@@ -220,7 +219,7 @@ def _points(interval: Interval) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentScore:
-    """What a benchmark takes from an experiment."""
+    """Values that a benchmark uses from an experiment."""
 
     dimensions: tuple[str, ...]
     """The dimensions that it varies."""
@@ -255,7 +254,7 @@ class DimensionScore:
 def dimension_scores(experiments: Mapping[str, ExperimentScore]) -> dict[str, DimensionScore]:
     """Return the benchmark's scores by dimension, as section 6.3 of the thesis defines them.
 
-    Their intervals take the experiments as independent: each has demonstrations and trainings of its own.
+    Their intervals assume independent experiments: each has its own demonstrations and trainings.
 
     Args:
         experiments: Name of an experiment to its scores.

@@ -2,9 +2,9 @@
 
 Both checkpoints meet the same scenes. Looks at the results are planned beforehand, and so is the largest number of
 scenes. At look k the share of the error probability that may be spent is a function of the planned scenes alone
-(O'Brien and Fleming's type). If both checkpoints are equally good, each scene that only one of them solved is a toss of
-a fair coin. The distribution of the tosses at all looks, given their numbers, is therefore known exactly. Dynamic
-programming computes the limits from it, so the test is exact and not asymptotic.
+(O'Brien and Fleming's type). If both checkpoints are equally good, each scene that only one of them solved is like the
+toss of a fair coin. The distribution of the tosses at all looks, given their numbers, is therefore known exactly.
+Dynamic programming computes the limits from it, so the test is exact and not asymptotic.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def sequential_test(plan: SequentialPlan, looks: Sequence[Pairs]) -> SequentialS
     Raises:
         InvalidRequestError: If a look has another number of scenes than planned, or outcomes disappeared.
     """
-    at = {0: 1.0}  # first minus second wins so far -> probability without an earlier decision, if both are equal
+    at = {0: 1.0}  # lead of the first -> probability without an earlier decision, if both are equal
     spent, before = 0.0, 0
     for number, (pairs, planned, allowed) in enumerate(zip(looks, plan.looks, plan.spent, strict=False), start=1):
         if pairs.scenes != planned:
@@ -115,7 +115,7 @@ def _after(at: dict[int, float], tosses: int) -> dict[int, float]:
 
 
 def _limit(at: dict[int, float], allowed: float) -> int:
-    """Return the least lead, of either checkpoint, whose probability of being reached is allowed."""
+    """Return the smallest lead of either checkpoint that is reached with an allowed probability."""
     reached, limit = 0.0, max(map(abs, at), default=0) + 1
     for lead in sorted({abs(lead) for lead in at}, reverse=True):
         reached += sum(at.get(there, 0.0) for there in {lead, -lead})

@@ -1,8 +1,8 @@
-"""Interval of the mean success rate of trainings, which holds near 0 and 1 too.
+"""Interval of the mean success rate of trainings that is also valid near 0 and 1.
 
 Student's t over the rates of a few trainings is too short near the ceiling: three trainings that all succeed in nearly
-every episode have no spread, although the next one may fail in a tenth of them. The model here knows both: the rate of
-a training has a beta distribution, and its successes are binomial. The interval is the central one of the posterior
+every episode have no spread, although the next one may fail in a tenth of them. The model here includes both: the rate
+of a training has a beta distribution, and its successes are binomial. The interval is the central one of the posterior
 distribution of the mean.
 
 Prior: Jeffreys's for the mean. The standard deviation between trainings is half-normal with a scale of 15 points.
@@ -30,7 +30,7 @@ MEANS = 200
 SPREADS = 20
 """Number of standard deviations, each of the same prior probability."""
 MOST_CORRELATION = 0.97
-"""Largest correlation of two episodes of a training: at 1 a training succeeds always or never."""
+"""Largest correlation of two episodes of a training: at 1, a training always or never succeeds."""
 
 
 @lru_cache(maxsize=1)

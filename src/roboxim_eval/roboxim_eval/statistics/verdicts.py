@@ -21,11 +21,11 @@ from roboxim_eval.statistics.replicates import LEAST_REPLICATES, ConditionDiffer
 Kind = Literal["lower", "higher", "as_good", "cannot_tell"]
 Question = Literal["checkpoint", "condition"]
 MARGIN = 0.10
-"""Largest difference that counts as equally good where nobody chooses another."""
+"""Default for the largest difference that counts as equally good."""
 
 
 ONE_TRAINING = "One training says nothing about the way to train."
-"""What readers of a checkpoint's result must not conclude."""
+"""Warning against a wrong conclusion from a checkpoint's result."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +149,7 @@ def checkpoint_verdict(
     alpha: float = 0.05,
     trained: tuple[bool, bool] = (True, True),
 ) -> Verdict:
-    """Compare two checkpoints, or policies that nobody trained, on the same scenes (Q1).
+    """Compare two checkpoints, or untrained policies, on the same scenes (Q1).
 
     Args:
         first: Name of the first checkpoint, for the sentence.
@@ -198,7 +198,7 @@ def checkpoint_verdict(
             asked = f"is as good as {other} within {100 * margin:.0f} points"
             adjusted = f"{_p(equal, 'is ')} after adjustment for {comparisons} comparisons"
             unclear = f"the difference is {_signed(narrow, alpha)}, but {adjusted}"
-        elif interval.low > 0 or interval.high < 0:  # the exact test is stricter, or adjustment decides
+        elif interval.low > 0 or interval.high < 0:  # the exact test is stricter, or the adjustment decides
             adjusted = " after adjustment for several comparisons" if own > found.p_value else ""
             unclear = f"the difference is {_number(interval.value)} points, but p is {own:.2g}{adjusted}"
         sentence = f"Cannot tell whether {one} {asked}: {unclear}, {where}."
@@ -232,7 +232,7 @@ def _narrowed(interval: Interval, alpha: float) -> Interval:
 
 
 def _adjusted(p: float, comparisons: int) -> str:
-    """Return what a sentence adds where its p value is adjusted."""
+    """Return the addition to a sentence whose p value is adjusted."""
     return f" ({_p(p)} after adjustment for {comparisons} comparisons)" if comparisons > 1 else ""
 
 

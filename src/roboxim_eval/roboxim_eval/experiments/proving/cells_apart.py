@@ -1,8 +1,8 @@
-"""What tells the cells of an experiment apart: the held-out ones from those of a dataset.
+"""Checks that distinguish the held-out cells of an experiment from the cells of a dataset.
 
-The proof of training data asks of every episode whether it is one of a held-out cell, whatever cell it claims. It asks
-by checks of the module `delivery` that no episode of the dataset's cells passes for the held-out one,
-e.g. by the light if cells differ in their light. Where no check can do that, an experiment is refused before it starts.
+The proof of training data tests whether an episode belongs to a held-out cell, whatever cell it claims. It uses checks
+of the module `delivery` that no episode of the dataset's cells passes for the held-out cell, e.g. the light if cells
+differ in their light. If no check distinguishes them, the experiment is refused before it starts.
 """
 
 from __future__ import annotations
@@ -31,20 +31,19 @@ from roboxim_eval.experiments.proving.delivery import (
 )
 
 OF_CELLS = ("skill", "arm", "object", "area", "camera")
-"""Checks that every episode of a cell must pass to be one of it."""
+"""Checks that every episode of a cell must pass."""
 EXACT = 1e-4
 """Least difference of two drawn values that are recorded as they were drawn."""
 
 
 def belongs_to(demand: Demand, shown: Shown, checks: Iterable[str] = OF_CELLS) -> bool:
-    """Return whether an episode is one of a cell by its content, whatever cell it claims.
+    """Return whether an episode belongs to a cell by its content, whatever cell it claims.
 
-    What was measured in its pictures and forces does not count: a fault of delivery does not make it one of another
-    cell.
+    Measurements in its pictures and forces do not count: a fault of delivery does not move it to another cell.
 
     Args:
-        demand: What the cell demands.
-        shown: What the episode's bag shows.
+        demand: Demands of the cell.
+        shown: Content of the episode's bag.
         checks: Checks that it must pass, see `distinguishing_checks`.
     """
     plain = replace(shown, tool_px={}, pixels={}, colors={}, brightness={}, weights={})
@@ -52,14 +51,14 @@ def belongs_to(demand: Demand, shown: Shown, checks: Iterable[str] = OF_CELLS) -
 
 
 def distinguishing_checks(held_out: Demand, others: Iterable[Demand]) -> tuple[str, ...]:
-    """Return the checks by which an episode is one of a held-out cell: no episode of the other cells passes all.
+    """Return the checks that identify episodes of a held-out cell: no episode of the other cells passes all of them.
 
-    Skill, arm, object, area and camera are among them in any case. The others are, where these alone do not tell the
-    held-out cell from another one; so a held-out episode is found even if e.g. its instruction was rewritten.
+    Skill, arm, object, area and camera are always among them. Others are added only if these do not distinguish the
+    held-out cell from another one, so a held-out episode is found even if e.g. its instruction was rewritten.
 
     Args:
-        held_out: What the held-out cell demands.
-        others: What the cells demand that it must be told from.
+        held_out: Demands of the held-out cell.
+        others: Demands of the cells from which it must be distinguished.
     """
     needed: set[str] = set()
     for other in others:
@@ -78,7 +77,7 @@ def differing(first: Demand, second: Demand) -> tuple[str, ...]:
     return tuple(name for name, part in PARTS.items() if part(first) != part(second))
 
 
-# ------------------------------------------------------------------ demands that no episode meets both of
+# ------------------------------------------------------------------ demands that exclude each other
 
 
 def _skill(held_out: Demand, other: Demand) -> bool:
@@ -105,7 +104,7 @@ def _physics(held_out: Demand, other: Demand) -> bool:
 
 
 def _distractors(held_out: Demand, other: Demand) -> bool:
-    """Their numbers exclude each other, one always has a model that the other never has, or no drawn one fits both."""
+    """Numbers exclude each other, one always has a model that the other never has, or no drawn model fits both."""
     (least, largest_allowed), (fewest, largest) = held_out.distractors, other.distractors
     if largest < least or fewest > largest_allowed:
         return True
@@ -132,7 +131,7 @@ def _start(held_out: Demand, other: Demand) -> bool:
 
 
 def _camera(held_out: Demand, other: Demand) -> bool:
-    """The held-out cell has a camera that the other one lacks, or one of theirs shares no pose."""
+    """The held-out cell has a camera that the other lacks, or a common camera shares no pose."""
     return any(
         name not in other.cameras
         or all(
@@ -177,7 +176,7 @@ def _instruction(held_out: Demand, other: Demand) -> bool:
 
 
 def _could_say(template: str, sentence: str, roles: Iterable[str]) -> bool:
-    """Return whether a template may give a sentence of another one, in which names stand for any words."""
+    """Return whether a template may give a sentence of another template; names match any words."""
     names = {name for _, name, _, _ in Formatter().parse(sentence) if name}
     phrasing = "".join(literal + (f"<{name}>" if name else "") for literal, name, _, _ in Formatter().parse(sentence))
 
@@ -217,10 +216,10 @@ PARTS: Mapping[str, Callable[[Demand], Any]] = {
 def undistinguished(
     demands: Mapping[str, Demand], held_out: Iterable[str], others: Iterable[str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield held-out cells with the cells that they cannot be told from.
+    """Yield held-out cells with the cells from which they cannot be distinguished.
 
     Args:
-        demands: Cell to what it demands.
+        demands: Cell to its demands.
         held_out: Held-out cells.
         others: Cells of a dataset.
     """

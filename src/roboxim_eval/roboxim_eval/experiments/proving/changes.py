@@ -1,9 +1,9 @@
-"""What a condition's change of the task leaves as it is, scene by scene.
+"""The properties of a scene that a condition's change of the task must not change.
 
-Every property of a scene has its own random stream. A condition that changes one property therefore meets the scene of
-the unchanged conditions in all others. The exception is the placement of objects: it is drawn again where a constraint
-refuses it, and constraints look through the cameras, plan from the start, and need room between the objects. So a
-moved camera keeps the objects' places in most scenes, but in one where a camera no longer sees the object it does not.
+Every property of a scene has its own random stream. A condition that changes one property therefore has the same scenes
+as the unchanged conditions in all other properties. The exception is the placement of objects: it is drawn again if a
+constraint refuses it, and constraints depend on the cameras, the start and the room between the objects. A moved camera
+thus keeps the objects' places in most scenes, but not in one where a camera no longer sees the object.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from typing import Any
 from roboxim_eval.experiments.proving.delivery import CHANGED, Shown
 
 SAME_M = 0.001
-"""Largest distance of an object or the tool from where it is in another condition's episode of the scene [m].
+"""Largest distance of an object or the tool from its place in another condition's episode of the scene [m].
 
 Another friction moves the shipped objects by at most 4e-6 m until tick 0, another mass does not move them."""
 PICTURES = frozenset({"pictures", "appearance"})
 PLACED = PICTURES | {"state", "places"}
 """Aspects that change where objects are placed anew."""
 WORDS_SAY_OTHER_ROLES = "roles in templates"
-"""Part of a task: the roles that instructions name. What they leave out, distractors must not be."""
+"""Part of a task: the roles that instructions name. Distractors must not have models that they exclude."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """What a change of the task may do to a scene; every other aspect stays."""
+    """Allowed effects of a change of the task on a scene; every other aspect stays."""
 
     may: frozenset[str] = frozenset()
     """Aspects that may differ, see `ASPECTS`."""
@@ -37,7 +37,7 @@ class Change:
     must then not be the same, see `shown_difference`."""
 
     def __add__(self, other: Change) -> Change:
-        """Return both together."""
+        """Return the union of both."""
         return Change(may=self.may | other.may, seen=self.seen or other.seen)
 
 
@@ -55,8 +55,8 @@ RULES: tuple[tuple[str, Change], ...] = (
     (r"templates|paraphrases|max_steps", Change()),
     (WORDS_SAY_OTHER_ROLES, Change(may=PLACED | {"objects", "physics", "others"})),
 )  # fmt: skip
-"""Parts of a task, as `changed_parts` names them, and what a change of them may do. A part that is not listed, e.g. the
-scene or the control rate, may change everything."""
+"""Parts of a task, as `changed_parts` names them, to the allowed effects of a change. A part that is not listed, e.g.
+the scene or the control rate, may change everything."""
 
 
 def changed_parts(change: Mapping[str, Any]) -> tuple[str, ...]:
@@ -91,7 +91,7 @@ def _parts_of_objects(objects: Mapping[str, Any]) -> Iterator[str]:
 
 
 def change_of(parts: Collection[str]) -> Change | None:
-    """Return what changes of parts of a task may do together; none: everything may differ."""
+    """Return the allowed effects of changes of several parts of a task; none: everything may differ."""
     found = Change()
     for part in parts:
         rule = next((change for pattern, change in RULES if re.fullmatch(pattern, part)), None)
@@ -105,7 +105,7 @@ def change_of(parts: Collection[str]) -> Change | None:
 
 
 def differences(change: Change, shown: Shown, right: Shown, condition: str) -> Iterator[str]:
-    """Yield what a changed episode does not share with an unchanged one of its scene, although it must.
+    """Yield the differences that a changed episode must not have from an unchanged one of its scene.
 
     Args:
         change: What may differ.
@@ -115,7 +115,7 @@ def differences(change: Change, shown: Shown, right: Shown, condition: str) -> I
     """
     if "state" not in change.may and shown.state_hash != right.state_hash:
         yield f"the state of tick 0 is {shown.state_hash:.8}, that of '{condition}' is {right.state_hash:.8}"
-        return  # it explains what follows
+        return  # it explains the later differences
     for aspect in ASPECTS:
         if aspect in change.may:
             continue
@@ -147,7 +147,7 @@ IN_PICTURES = ("look", "exposure", "cameras", "objects", "others")
 
 
 def shown_difference(change: Change, shown: Shown, right: Shown) -> str:
-    """Return what a change made different of that which pictures show, e.g. ``color of the target``; empty: nothing.
+    """Return the visible aspects that a change made different, e.g. ``color of the target``; empty: none.
 
     Args:
         change: What may differ.

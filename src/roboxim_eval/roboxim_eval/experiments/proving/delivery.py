@@ -1,8 +1,8 @@
-"""What a cell demands of an episode, what the episode's bag shows, and the checks of one against the other.
+"""The demands of a cell, the content of an episode's bag, and the checks of one against the other.
 
-A cell's name in a bag is a claim. An episode belongs to its cell only if the states and pictures of tick 0 show what
-the cell's task demands, and if the policy received the words that the condition demands. A NaN is a fault: comparisons
-are written such that it fails them, e.g. ``not far <= CAMERA_M``. The values here are plain;
+A cell's name in a bag is a claim. An episode belongs to its cell only if the states and pictures of tick 0 meet the
+demands of the cell's task, and if the policy received the instruction that the condition demands. A NaN is a fault:
+comparisons are written such that it fails them, e.g. ``not far <= CAMERA_M``. The values here are plain;
 `roboxim_runs.experiments.delivery.demands` reads them from task configurations, `delivery_reader` from bags.
 """
 
@@ -36,7 +36,7 @@ WEIGHT_SHARE = 0.05
 """Largest deviation of the mass that presses on the table from the mass of the object's model, as a share of it. Of
 the shipped models it is at most 0.005."""
 CHANGED = 0.25
-"""Least mean difference of two pictures of a scene, of 255, at which a change of the look counts as delivered."""
+"""Smallest mean difference of two pictures of a scene, of 255, that counts as a delivered change of the look."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class Allowed:
     """Upper end."""
 
     def excess(self, value: Value) -> float:
-        """Return by how much a value is beyond what is allowed, at most over the axes.
+        """Return the distance of a value from the allowed ones, the maximum over the axes.
 
         Infinity for another word, and for a NaN, so that no comparison lets it pass.
         """
@@ -85,11 +85,11 @@ def plain_value(value: Any) -> Value:
 
 
 def gap(first: Allowed, second: Allowed) -> float:
-    """Return by how much the values that one allows differ at least from those that another allows.
+    """Return the smallest difference between the values that one allows and those that another allows.
 
     Returns:
-        The difference, at most over the axes; infinity for other words, or where nothing is allowed; 0 for a value that
-        both allow.
+        The difference, the maximum over the axes; infinity for different words, or if no value is allowed; 0 if both
+        allow a common value.
     """
     return min((_between(one, other) for one in first.boxes for other in second.boxes), default=math.inf)
 
@@ -138,7 +138,7 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class Demand:
-    """What a cell's task demands of every episode."""
+    """Demands of a cell's task on every episode."""
 
     skill: str
     """The skill."""
@@ -155,7 +155,7 @@ class Demand:
     table_friction: Allowed | None = None
     """Lateral friction coefficient of the table; none: any."""
     distractors: tuple[int, int] = (0, 0)
-    """Fewest and most objects that the task is not about."""
+    """Smallest and largest number of distractors."""
     others: dict[str, dict[str, Allowed]] = field(default_factory=dict)
     """Model of a distractor to the modifiers that it must have, with their values."""
     always: tuple[str, ...] = ()
@@ -176,14 +176,14 @@ class Demand:
     templates: tuple[str, ...] = ()
     """Templates of the task's instruction, with roles in braces; empty: any instruction."""
     words: str | None = None
-    """What the policy must receive as instruction; none: the task's instruction."""
+    """Instruction that the policy must receive; none: the task's instruction."""
     latency_ticks: int = 0
     """Ticks by which each of its answers must be late."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """What an episode's bag shows."""
+    """Content of an episode's bag."""
 
     bag: str
     """Path of the bag, for messages."""
@@ -278,12 +278,12 @@ def _object(demand: Demand, shown: Shown) -> Iterator[str]:
 
 
 def hidden_distractors(shown: Shown) -> int:
-    """Return how many distractors no fixed camera sees well: scenes guarantee the sight of the task's objects alone."""
+    """Return the number of distractors that no fixed camera sees well; scenes guarantee the task's objects only."""
     return sum(shown.pixels.get(name, math.inf) < VISIBLE_PX for name in shown.others)
 
 
 def _looks(shown: Shown, names: Sequence[str], *, least: float = VISIBLE_PX) -> Iterator[str]:
-    """Yield which objects have fewer visible pixels than asked for, or another colour than their models."""
+    """Yield objects with too few visible pixels, or with another colour than their models."""
     for name in sorted(names):
         pixels, difference = shown.pixels.get(name, math.inf), shown.colors.get(name, 0.0)
         if not pixels >= least:
@@ -413,9 +413,9 @@ def _instruction(demand: Demand, shown: Shown) -> Iterator[str]:
 
 
 def _filled(template: str, descriptions: Mapping[str, str]) -> str:
-    """Return a pattern of a template with the objects' descriptions; other names, e.g. an angle, may be any words.
+    """Return a pattern of a template with the objects' descriptions; other names, e.g. an angle, match any words.
 
-    A description may say a drawer, as in "Put the cube into the top drawer of the white cabinet".
+    A description may name a drawer, as in "Put the cube into the top drawer of the white cabinet".
     """
 
     def said(name: str) -> str:
@@ -442,12 +442,12 @@ CHECKS: Mapping[str, Check] = {
     "start": _start, "camera": _camera, "light": _light, "texture": _texture, "instruction": _instruction,
     "words": _words, "latency": _latency,
 }  # fmt: skip
-"""Checks by name. Each yields what is wrong, with figures; nothing: the episode passes."""
+"""Checks by name. Each yields the faults, with figures; none: the episode passes."""
 WORDS = "words"
-"""The check of what the policy received; only bags that say it are checked."""
+"""The check of the received instruction; only bags that store it are checked."""
 
 
 def faults_of(demand: Demand, shown: Shown) -> dict[str, str]:
-    """Return what is wrong with an episode: check to the fault, with figures; empty: nothing is known to be wrong."""
+    """Return the faults of an episode: check to the fault, with figures; empty: no known fault."""
     found = {name: "; ".join(check(demand, shown)) for name, check in CHECKS.items()}
     return {name: text for name, text in found.items() if text}

@@ -1,8 +1,8 @@
 """Proofs that an experiment was delivered: tallies of checks over the bags of its demonstrations and evaluations.
 
-An episode that fails a check is none of its cell, so it does not count. If more than `MOST_FAULTS` of the episodes of a
-stage fail, the experiment stops. Training data are refused at the first fault: a held-out episode in it cannot be
-taken out of the weights.
+An episode that fails a check does not belong to its cell, so it does not count. If more than `MOST_FAULTS` of the
+episodes of a stage fail, the experiment stops. Training data are refused at the first fault: a held-out episode in it
+cannot be taken out of the weights.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ from roboxim_eval.experiments.proving.delivery import (
 PROOF_OF_TRAINING = "trained_on"
 """Check of a training, not of an episode: it read the export that the experiment gave it."""
 PICTURES = "pictures"
-"""Count of the episodes whose pictures were compared with drawings; without them, checks are of what bags state."""
+"""Count of the episodes whose pictures were compared with drawings; other episodes are checked by the bag's statements
+only."""
 MOST_FAULTS = 0.01
 """Share of faulty episodes above which a run stops."""
 NAMED = 5
@@ -68,7 +69,7 @@ class Tally:
     faults: tuple[Fault, ...] = ()
     """All faults."""
     statements: tuple[str, ...] = ()
-    """What is no fault, but must be said, e.g. held-out objects that were distractors of the training."""
+    """Remarks that are not faults, e.g. held-out objects that were distractors of the training."""
 
     def __add__(self, other: Tally) -> Tally:
         """Return both together."""
@@ -93,7 +94,7 @@ class Tally:
         """Return why a run must stop, naming bags and figures; empty: it may go on.
 
         Args:
-            max_faults: Share of faulty episodes that is tolerated. A training on another dataset never is.
+            max_faults: Tolerated share of faulty episodes. A training on another dataset is never tolerated.
         """
         if wrong := [fault for fault in self.faults if fault.check == PROOF_OF_TRAINING]:
             return "trainings read another dataset than the experiment gave them:\n" + "\n".join(
@@ -113,13 +114,13 @@ class Tally:
 def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown], *, without: Collection[str] = ()) -> Tally:
     """Check episodes against what their cells demand.
 
-    What the policy received is checked where the bag says it; a statement says how many bags do not. Another statement
-    says how many distractors are hidden, which is no fault. The count `PICTURES` says whose pictures were compared, and
-    a statement why others were not; that is no fault either.
+    The received instruction is checked where the bag stores it; a statement gives the number of bags that do not.
+    Another statement gives the number of hidden distractors, which are no fault. The count `PICTURES` gives the
+    episodes with compared pictures, and a statement the reasons for the others, which are no fault either.
 
     Args:
         demands: Cell to what it demands.
-        episodes: What the bags show.
+        episodes: Content of the bags.
         without: Checks that do not apply, e.g. ``words`` to demonstrations of an expert, which reads the task.
     """
     names = [name for name in CHECKS if name not in without]
@@ -176,13 +177,13 @@ def pairing(arms: Mapping[str, Sequence[Shown]], changed: Mapping[str, Collectio
     """Check that conditions met the same scenes.
 
     Conditions without changes must share states and pictures of tick 0; where their policies get pictures of different
-    sizes, they must share the pose of the camera. What most of them show on a scene is right, and another condition's
-    episode is a fault. Where no majority agrees, e.g. of two conditions, the scene is a fault of each.
+    sizes, they must share the pose of the camera. The majority of the conditions decides what is right for a scene; a
+    deviating episode is a fault. If there is no majority, e.g. with two conditions, each of them has a fault.
 
-    A changed condition must share with the majority whatever its change leaves (module `changes`):
-    light, surfaces and exposure leave the state, words leave state and pictures, mass and friction leave the places of
-    the objects, and every one leaves what it has nothing to do with, e.g. a moved camera the light and the start. Where
-    it changes what pictures show, they must differ. A scene that one condition alone met is not checked.
+    A changed condition must share with the majority everything that its change does not affect (module `changes`).
+    Light, surfaces and exposure do not affect the state; the instruction affects neither state nor pictures; mass and
+    friction do not affect the objects' places; a moved camera affects neither the light nor the start. If the change is
+    visible, the pictures must differ. A scene that only one condition met is not checked.
 
     Args:
         arms: Condition to its episodes of one replicate.
@@ -244,9 +245,10 @@ def _changed_faults(change: Change, shown: Shown, right: Shown, condition: str) 
 
 
 def _deviating(arms: Mapping[str, Shown]) -> dict[str, str]:
-    """Return the conditions whose episode of a scene is not that of the majority, to what differs.
+    """Return the conditions whose episode of a scene deviates from the majority, with the difference.
 
-    A condition that deviates in one part has no vote on the next ones. Without a majority each that votes deviates.
+    A condition that deviates in one part has no vote on the next ones. Without a majority, every voting condition
+    deviates.
     """
     found: dict[str, str] = {}
     for what, form, values in _parts(arms):
@@ -267,13 +269,13 @@ def _deviating(arms: Mapping[str, Shown]) -> dict[str, str]:
 
 
 _STATE = "{:.8}"
-"""How messages show the hash of a state."""
+"""Format of a state's hash in messages."""
 
 
 def _parts(arms: Mapping[str, Shown]) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Yield what conditions must share on a scene: its name, how a message shows it, and condition to its value.
+    """Yield the properties that conditions must share on a scene: name, format in messages, and condition to value.
 
-    The state comes first, pictures last: what differs before explains them.
+    The state comes first and pictures last, because earlier differences explain later ones.
     """
     yield "the state of tick 0", _STATE, {name: shown.state_hash for name, shown in arms.items()}
     pictures: dict[str, dict[tuple[int, ...] | None, dict[str, int]]] = {}
@@ -307,9 +309,9 @@ class Trained:
     """An episode of a dataset."""
 
     shown: Shown
-    """What its bag shows."""
+    """Content of its bag."""
     asked: tuple[Demand, ...] = ()
-    """Skill and objects that the dataset's instruction asks for in the scene; empty: it is not understood."""
+    """Skill and objects that the dataset's instruction names in the scene; empty: not recognised."""
     planted: str = ""
     """Fault that was planted on purpose; empty: none."""
 
@@ -319,10 +321,10 @@ def training_tally(
 ) -> Tally:
     """Check a training dataset against the cells that it may have.
 
-    An episode whose content is that of a held-out cell is a fault, whatever cell it claims (`distinguishing_checks`).
+    An episode with the content of a held-out cell is a fault, whatever cell it claims (`distinguishing_checks`).
 
     Args:
-        demands: All cells of the experiment with what they demand.
+        demands: All cells of the experiment with their demands.
         unseen: Held-out cells.
         counts: Cells of the dataset with their numbers of episodes.
         episodes: Episodes of the dataset.
@@ -352,7 +354,7 @@ def training_tally(
 
 
 def _leak(episode: Trained, demands: Mapping[str, Demand], closed: Mapping[str, Sequence[str]]) -> str:
-    """Return of which held-out cell an episode is; empty: of none. ``closed`` has the checks that tell each of them."""
+    """Return the held-out cell of an episode; empty: none. ``closed`` has the checks that identify each cell."""
     for cell, checks in closed.items():
         if belongs_to(demands[cell], episode.shown, checks):
             claims = "" if episode.shown.cell == cell else f", although it claims '{episode.shown.cell}'"
@@ -363,9 +365,9 @@ def _leak(episode: Trained, demands: Mapping[str, Demand], closed: Mapping[str, 
 
 
 def _exposures(demands: Mapping[str, Demand], closed: Sequence[str], episodes: Sequence[Trained]) -> Iterable[str]:
-    """Say where held-out objects lie beside the held-out skill's target, and where words ask for a held-out cell.
+    """Report held-out objects as distractors of the held-out skill, and instructions that ask for a held-out cell.
 
-    Words that ask for the episode's own cell say nothing about another one, e.g. if cells differ by camera alone.
+    Instructions of the episode's own cell are ignored, e.g. if cells differ only by camera.
     """
     for cell in closed:
         demand = demands[cell]

@@ -1,4 +1,4 @@
-"""Charts of an episode's ticks, all with the same time axis, so that one cursor belongs to all of them."""
+"""Charts of an episode's ticks, all with the same time axis, so that they share one cursor."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HEIGHT = 100.0
 TOP = 6.0
 """Space above and below the values."""
 STILL = 1e-6
-"""Range of values that is drawn as no change."""
+"""Ranges of values up to this size are drawn as constant."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -27,15 +27,15 @@ class Curve:
     """Numbers over an episode's ticks."""
 
     name: str
-    """What they are."""
+    """Name of the quantity."""
     lines: Sequence[npt.NDArray[np.float64]]
     """Values of each line, shape (T,); NaN: none at this tick."""
     measure: str = ""
-    """Name with a unit at its end, e.g. ``lift_m``, by which numbers are shown; empty: as they are."""
+    """Name that ends in a unit, e.g. ``lift_m``, which sets the format of numbers; empty: plain numbers."""
     limits: tuple[float, float] = (-math.inf, math.inf)
-    """Bounds that the values are to stay within."""
+    """Bounds within which the values should stay."""
     broken: npt.NDArray[np.bool_] | None = None
-    """Ticks at which they do not; none: nothing is shaded."""
+    """Ticks outside the bounds, which are shaded; none: no shading."""
     mark: int | None = None
     """A tick to mark."""
 
@@ -83,7 +83,7 @@ def course_chart(curve: Curve) -> Markup:
 
 
 def value_text(curve: Curve, value: float) -> str:
-    """Return a value of a curve as people read it; empty: none."""
+    """Return a value of a curve in the unit for people; empty: no value."""
     if not math.isfinite(value):
         return ""
     return shown(curve.measure, value) if curve.measure else f"{0.0 if abs(value) < STILL else value:.3g}"

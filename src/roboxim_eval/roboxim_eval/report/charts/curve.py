@@ -34,7 +34,7 @@ def learning_curve(
 
     Args:
         curves: Condition to its points, by increasing steps.
-        link: (condition, steps) to where the point leads; empty: nowhere.
+        link: (condition, steps) to the point's link; empty: no link.
     """
     max_steps = max(point.steps for points in curves.values() for point in points)
 

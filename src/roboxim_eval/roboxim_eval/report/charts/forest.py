@@ -24,7 +24,7 @@ class ForestRow:
     """An estimate."""
 
     label: str
-    """What is estimated."""
+    """Name of the estimated quantity."""
     value: float
     """The estimate."""
     low: float
@@ -34,13 +34,13 @@ class ForestRow:
     dots: tuple[float, ...] = ()
     """Estimates of the single replicates."""
     published: float | None = None
-    """A published value of the same; none: there is none."""
+    """A published value of the same quantity; none: not published."""
     number: str = ""
-    """Numbers that it is from, e.g. ``51 of 60 against 40 of 60``."""
+    """Counts behind it, e.g. ``51 of 60 against 40 of 60``."""
     kind: str = "cell"
     """``cell``, ``unseen`` (a held-out cell) or ``total``."""
     link: str = ""
-    """Where it leads; empty: nowhere."""
+    """Link; empty: none."""
 
 
 @dataclass(frozen=True, kw_only=True)

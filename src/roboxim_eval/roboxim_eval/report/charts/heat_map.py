@@ -18,7 +18,7 @@ class HeatCell:
     """One field."""
 
     text: str
-    """What it says, e.g. ``85`` for 85 %."""
+    """Its text, e.g. ``85`` for 85 %."""
     number: str
     """Its numbers, e.g. ``51 of 60``."""
     shade: str
@@ -26,7 +26,7 @@ class HeatCell:
     unseen: bool
     """Whether the cell is held out."""
     link: str
-    """Where it leads."""
+    """Its link."""
     title: str
     """Name and numbers of the cell."""
 
@@ -36,7 +36,7 @@ class HeatMap:
     """A heat map."""
 
     title: str
-    """What it shows."""
+    """Its title."""
     columns: tuple[str, ...]
     """Levels of the last factor."""
     rows: tuple[tuple[str, tuple[HeatCell | None, ...]], ...]
@@ -52,7 +52,7 @@ def rate_map(
         title: Name of the arm.
         cells: All cells of the experiment.
         counts: Key of a cell to its count.
-        link: Key of a cell to where its field leads.
+        link: Key of a cell to its field's link.
     """
 
     def field(cell: Cell) -> HeatCell | None:
@@ -101,7 +101,7 @@ def arm_maps(
         cells: All cells.
         counts: Arm to its counts by key of a cell.
         pair: The arms of the differences; none: no such map.
-        link: Arms and key of a cell to where its field leads.
+        link: Arms and key of a cell to the field's link.
     """
     maps = [rate_map(arm, cells, mine, partial(link, (arm,))) for arm, mine in counts.items()]
     if pair is not None:

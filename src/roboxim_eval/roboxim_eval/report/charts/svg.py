@@ -40,7 +40,7 @@ def drawing(content: Iterable[Markup], *, width: float, height: float, label: st
         content: Elements.
         width: Width [px].
         height: Height [px].
-        label: What it shows, for screen readers.
+        label: Description for screen readers.
         class_: Class in the page's style.
     """
     return element(
@@ -50,5 +50,5 @@ def drawing(content: Iterable[Markup], *, width: float, height: float, label: st
 
 
 def link(content: Iterable[Markup], href: str) -> Markup:
-    """Return elements that lead to another place of the page."""
+    """Return elements with a link to another place of the page."""
     return element("a", content, href=href)

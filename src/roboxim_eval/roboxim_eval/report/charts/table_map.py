@@ -1,6 +1,6 @@
 """Maps of the success over the table, by where the first object of the task started, seen from above.
 
-They have axes in metres, the robot and the edges of the table, so that a reader knows where "here" is.
+They have axes in metres, the robot and the edges of the table, for orientation.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ WIDTH, HEIGHT = 470.0, 300.0
 LEFT, BELOW, EDGE = 46.0, 40.0, 8.0
 """Space for the axes, and at the other two edges [px]."""
 MARGIN_M = 0.06
-"""Space around what is shown [m]."""
+"""Margin around the shown part [m]."""
 LEAST_WIDTH_M = 0.8
-"""Least width of what is shown [m], margins excluded."""
+"""Smallest width of the shown part [m], without margins."""
 MOST_DOTS = 400
 """Number of episodes above which the single ones are not drawn."""
 LEAST = 3
@@ -42,7 +42,7 @@ class Start:
     success: bool
     """Whether it succeeded."""
     number: int | None = None
-    """Number of the episode on the page, to which it leads; none: nowhere."""
+    """Number of the episode on the page, to which it links; none: no link."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +77,7 @@ class Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where the robot and the table are, in the frame of the starts."""
+    """Positions of the robot and the table, in the frame of the starts."""
 
     robot: tuple[float, float]
     """Base of the robot, x and y [m]."""
@@ -87,7 +87,7 @@ class Place:
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """What part of the plane a map shows; the maps of one page show the same."""
+    """Part of the plane that a map shows; the maps of one page show the same part."""
 
     low_x: float
     """Lower edge, next to the robot [m]."""
@@ -128,7 +128,7 @@ class View:
 
 
 def table_maps(starts: Mapping[str, Sequence[Start]], place: Place | None = None) -> dict[str, Any]:
-    """Return a picture for each arm, all with the same squares and axes, and what their legend must say.
+    """Return a picture for each arm, all with the same squares and axes, and the content of their legend.
 
     Args:
         starts: Arm to its episodes; at least one each.
@@ -146,7 +146,7 @@ def table_maps(starts: Mapping[str, Sequence[Start]], place: Place | None = None
 def table_map(starts: Sequence[Start], grid: Grid | None = None, place: Place | None = None) -> Markup:
     """Return the picture: the robot is below, its left is on the left. Squares have the rate of their episodes.
 
-    Squares and marks lead to their episodes.
+    Squares and marks link to their episodes.
 
     Args:
         starts: The episodes; at least one.
@@ -170,7 +170,7 @@ def table_map(starts: Sequence[Start], grid: Grid | None = None, place: Place | 
 
 
 def mark(x: float, y: float, *, success: bool, number: int | None = None) -> Markup:
-    """Return the mark of an episode: a disc for a success, a cross for any other end; told apart without colour."""
+    """Return the mark of an episode: a disc for a success, a cross for other ends (distinct without colour)."""
     if success:
         return element("circle", cx=x, cy=y, r=4.0, class_="solved", data_e=number)
     ends = f"M{x - 3.6:.1f} {y - 3.6:.1f}l7.2 7.2m0 -7.2l-7.2 7.2"
@@ -185,7 +185,7 @@ def mark_key(success: bool) -> Markup:
 
 
 def _table(view: View, place: Place | None) -> list[Markup]:
-    """Return the part of the table's top that is in view, with those of its edges that are."""
+    """Return the visible part of the table's top, with its visible edges."""
     if place is None:
         return []
     x, y, along_x, along_y = place.table
