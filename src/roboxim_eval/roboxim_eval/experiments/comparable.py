@@ -1,7 +1,7 @@
 """Whether runs can be compared as models: their rollouts must have the same tasks; other differences are reported.
 
 Equal names of cells do not show that rollouts were alike: `skill_object` and `skill_object_worded` have the same cells,
-but no distractors and three distractors. The tasks of a cell's rollouts follow from the factors, from ``set``,
+but zero and three distractors. The tasks of a cell's rollouts follow from the factors, from ``set``,
 ``evaluate.max_steps`` and the condition. Only the compared cells' factors are checked, since a scale may have fewer
 levels.
 """

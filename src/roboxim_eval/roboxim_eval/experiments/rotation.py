@@ -67,9 +67,7 @@ def held_out_sets(cells: Sequence[Cell], sets: int, held_out: int) -> tuple[tupl
             share = held_out * len(members) / number
             require([(cell, one) for cell in members], int(share), min(int(np.ceil(share)), len(members) - 1))
     size = number * sets
-    preferred = (
-        np.add.outer(np.arange(number), -np.arange(sets)).astype(float) ** 2
-    )  # always the same solution
+    preferred = np.add.outer(np.arange(number), -np.arange(sets)).astype(float) ** 2  # always the same one
     found = milp(
         preferred.ravel() * 1e-3, integrality=np.ones(size), bounds=Bounds(0, 1),
         constraints=LinearConstraint(np.array(rows), np.array(low), np.array(high)), options={"time_limit": 30.0},
