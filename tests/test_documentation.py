@@ -30,7 +30,7 @@ FILES = [
     ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("*/*.md")),
     *sorted((ROOT / "src").glob("*/README.md")),
 ]  # fmt: skip
-OWN_NAMES = ("teapot", "pepper_mill", "shake", "my_arm")
+OWN_NAMES = ("teapot", "pepper_mill", "shake", "my_arm", "cup")
 """Objects and skills that the documentation instructs the reader to create."""
 
 
@@ -60,8 +60,14 @@ def blocks() -> Iterator[Block]:
 
 
 PYTHON = [block for block in blocks() if block.language.startswith("python")]
-RUN = [block for block in PYTHON if block.language == "python" and not block.text.startswith("# kitchen/")]
-"""The worked example has a separate test, test_worked_example.py, which undoes its registrations."""
+RUN = [
+    block
+    for block in PYTHON
+    if block.language == "python"
+    and not block.text.startswith("# kitchen/")
+    and not block.file.startswith("docs/tutorials/")
+]
+"""The worked example and the tutorials have tests of their own, test_worked_example.py and test_tutorials.py."""
 GENERATED = ("docs/reference/yaml.md",)
 MAX_LINES = 250
 """Most lines of a page that people write."""
@@ -114,6 +120,10 @@ def test_every_page_is_in_the_site_s_navigation() -> None:
     ("task", "page"),
     [
         ("install", "how-to/installation.md"),
+        ("evaluate a policy of my own", "tutorials/first_evaluation.md"),
+        ("see and film a scene", "tutorials/scene_and_film.md"),
+        ("configure tasks", "tutorials/own_task.md"),
+        ("an object", "tutorials/own_object.md"),
         ("evaluate a policy of my own", "how-to/own_policies.md"),
         ("evaluate a model behind a server", "how-to/policies.md"),
         ("see why an episode failed", "how-to/reports.md"),
@@ -136,7 +146,7 @@ def test_the_front_page_leads_to_a_task(task: str, page: str) -> None:
 def test_python_is_valid_and_its_imports_exist(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(SERVERS)
     tree = ast.parse(block.text)
-    assert block.language in ("python", "python not-run", "python excerpt")
+    assert re.fullmatch(r'python( not-run| excerpt| title="[^"]+")?', block.language)
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             for name in node.names:

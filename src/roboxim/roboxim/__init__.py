@@ -33,8 +33,11 @@ if TYPE_CHECKING:
         train_rt1s,
     )
     from roboxim_cli.printer import EventPrinter
+    from roboxim_core.actions import ActionSemantics
     from roboxim_core.episode import EpisodeResult
     from roboxim_core.errors import ConfigError, RoboximError
+    from roboxim_core.policies import CameraRequirement
+    from roboxim_policies import BasePolicy
     from roboxim_runs import events
     from roboxim_runs.datasets.export import ExportConfig, ExportReport, Hdf5Config, LeRobotConfig
     from roboxim_runs.episodes.generation import GenerationConfig, GenerationResult
@@ -47,7 +50,10 @@ if TYPE_CHECKING:
     from roboxim_runs.training.run import BCConfig, TrainingResult
 
 __all__ = [
+    "ActionSemantics",
     "BCConfig",
+    "BasePolicy",
+    "CameraRequirement",
     "CancelledError",
     "ConfigError",
     "EpisodeResult",
@@ -104,7 +110,10 @@ _HOMES = {
     "roboxim_runs.policies.specs": ("PolicySpec",),
     "roboxim_runs.episodes.rerendering": ("RerenderConfig",),
     "roboxim_runs.training.run": ("BCConfig", "TrainingResult"),
+    "roboxim_core.actions": ("ActionSemantics",),
     "roboxim_core.episode": ("EpisodeResult",),
+    "roboxim_core.policies": ("CameraRequirement",),
+    "roboxim_policies": ("BasePolicy",),
     "roboxim_core.errors": ("ConfigError", "RoboximError"),
 }
 """Module to its public names."""

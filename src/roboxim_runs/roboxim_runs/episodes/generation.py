@@ -11,6 +11,7 @@ from typing import ClassVar
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ErrorCode, RoboximError
 from roboxim_core.shards import Shard
+from roboxim_runs.episodes.episode import Episode
 from roboxim_runs.episodes.pictures import write_contact_sheet
 from roboxim_runs.episodes.run import EpisodesConfig, EpisodesJob, run_environment, run_episodes
 from roboxim_runs.events import EpisodeFinished, Event, OnEvent, PictureWritten, ignore
@@ -69,6 +70,11 @@ class GenerationResult:
     """Number of results that the folder had before."""
     picture: Path | None
     """Picture of the first demonstrations; none without any."""
+
+    @property
+    def episodes(self) -> tuple[Episode, ...]:
+        """The requested episodes, each with its bag and its film."""
+        return tuple(Episode(policy="expert", result=result, folder=self.out) for result in self.results)
 
     @cached_property
     def kept(self) -> tuple[EpisodeResult, ...]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from roboxim_core.vision.looks import Lighting
 
 
-@strict.command(begins="rendering", old={"--size": "--size"})
+@strict.command(begins="rendering")
 @click.argument("sources", type=click.Path(exists=True, path_type=Path), nargs=-1, required=True)
 @option("out", required=True, help="Folder of the new run.")
 @option("renderer", help="raster, tiny, or photo (Blender; make photo installs it).")
