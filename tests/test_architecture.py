@@ -31,7 +31,7 @@ ALLOWED = {
     "roboxim_runs": EVERY_ROOM | {"roboxim_bringup"},
     "roboxim_studio": EVERY_ROOM | {"roboxim_bringup", "roboxim_runs"},
     "roboxim_cli": EVERY_ROOM | {"roboxim_bringup", "roboxim_runs", "roboxim_studio"},
-    "roboxim": {"roboxim_core", "roboxim_bringup", "roboxim_runs", "roboxim_cli"},
+    "roboxim": {"roboxim_core", "roboxim_bringup", "roboxim_runs", "roboxim_cli", "roboxim_policies"},
 }
 ROS_FREE_KIT = {f"roboxim_ros.messages.{name}" for name in ("conversions", "packing", "schemas", "serialising")}
 """Modules of the node kit that need no rclpy, so that a core may use them."""
