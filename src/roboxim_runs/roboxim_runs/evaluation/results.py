@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
-from roboxim_runs.episodes.episode import Episode
 from roboxim_runs.evaluation.notebook import evaluation_html
+from roboxim_runs.filmed import Episode
 
 if TYPE_CHECKING:
     from roboxim_eval.statistics.rates import SuccessRate
