@@ -1,4 +1,4 @@
-"""Hatch build hook that adds `config/` to RoboXim's wheel; an editable installation reads the checkout's."""
+"""Hatch build hook that adds `config/` and stand-alone servers to RoboXim's wheel; an editable installation reads the checkout's."""
 
 from typing import Any
 
@@ -6,9 +6,10 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
 class ConfigurationHook(BuildHookInterface):
-    """Add `config/` to roboxim_core, where `roboxim_core.config` looks for it."""
+    """Add `config/` to roboxim_core, and stand-alone servers to roboxim_policies, which look for them there."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Add `config/` to the build, unless the build is editable."""
+        """Add both to the build, unless the build is editable."""
         if version != "editable":
             build_data["force_include"]["config"] = "roboxim_core/config"
+            build_data["force_include"]["src/roboxim_policies/servers"] = "roboxim_policies/stand_alone"

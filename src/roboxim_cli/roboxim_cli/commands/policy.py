@@ -109,6 +109,27 @@ def _serve_wire(
         stop.wait()
 
 
+@command.command("new-server")
+@option("out", default="openpi_server.py", help="File to write; it must not exist.")
+def new_server(out: Path) -> None:
+    r"""Write a policy server for a model that lives in another environment, to derive your model's server from.
+
+    \b
+    roboxim policy new-server --out openpi_server.py
+
+    The file needs numpy, msgpack and websockets, and nothing of RoboXim.
+    """
+    from roboxim_policies.serving import stand_alone_server
+
+    text = stand_alone_server().read_text()
+    try:
+        with out.open("x") as file:
+            file.write(text)
+    except FileExistsError:
+        raise click.UsageError(f"{out} exists; name another file with --out") from None
+    click.echo(f"wrote {out}: derive a class from its Model, and call its serve()")
+
+
 @command.command("check", old={"--sheet": "--out"})
 @click.option("--policy", "spec", type=Named("policy"), required=True, help="A remote policy: openpi, vla_eval, ...")
 @click.option(

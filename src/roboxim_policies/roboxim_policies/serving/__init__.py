@@ -7,6 +7,7 @@ A server has a convention: its requests and answers mean what the convention say
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from roboxim_core.conventions import Convention
@@ -23,6 +24,13 @@ SERVERS: dict[str, type[PolicyServer]] = {
     "openvla": OpenVlaServer,
 }
 """Wires that policies are served over."""
+
+
+def stand_alone_server() -> Path:
+    """Return the file that serves a model of another environment over openpi's wire; it imports nothing of RoboXim."""
+    package = Path(__file__).parents[1]
+    installed = package / "stand_alone" / "openpi_server.py"
+    return installed if installed.exists() else package.parent / "servers" / "openpi_server.py"
 
 
 def policy_server(
@@ -51,4 +59,4 @@ def policy_server(
     return server(sessions, host=host, port=port, **options)
 
 
-__all__ = ["SERVERS", "PolicyServer", "Session", "Sessions", "own_convention", "policy_server"]
+__all__ = ["SERVERS", "PolicyServer", "Session", "Sessions", "own_convention", "policy_server", "stand_alone_server"]
