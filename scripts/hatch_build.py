@@ -1,4 +1,4 @@
-"""Hatch build hook that adds `config/` and stand-alone servers to RoboXim's wheel; an editable installation reads the checkout's."""
+"""Hatch build hook that adds `config/` and the stand-alone servers to a wheel; editable installations read the checkout."""
 
 from typing import Any
 
