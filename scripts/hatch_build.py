@@ -1,4 +1,4 @@
-"""Hatch build hook that adds `config/` and the stand-alone servers to a wheel; editable installations read the checkout."""
+"""Hatch build hook that adds `config/` and stand-alone servers to a wheel, unless the installation is editable."""
 
 from typing import Any
 
