@@ -187,7 +187,7 @@ def commands(text: str) -> Iterator[list[str]]:
         pending = ""
         command: list[str] = []
         for word in [*words, "&&"]:
-            if word in ("&&", "&", ">", "|"):
+            if word in ("&&", "||", "&", ">", "|"):
                 yield command
                 command = []
             else:
