@@ -6,6 +6,8 @@ import copy
 from dataclasses import replace
 from typing import Any
 
+from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.wordings import require_set, reworded
 from roboxim_core.policies import EpisodeStart, ObservationWindow, PassesOn, Policy, PolicyDescription
 from roboxim_policies.base import POLICIES, load_policy
 
@@ -14,20 +16,27 @@ from roboxim_policies.base import POLICIES, load_policy
 class RewordedPolicy:
     """A policy that passes everything but the instruction to another policy."""
 
-    def __init__(self, *, policy: str, instruction: str = "", **options: Any) -> None:
+    def __init__(self, *, policy: str, instruction: str = "", wordings: str = "", **options: Any) -> None:
         """Make the policy.
 
         Args:
             policy: The other policy, as for ``roboxim evaluate --policy``.
             instruction: What it receives instead of the task's instruction; empty: no words.
+            wordings: Set of ``config/wordings`` in whose words it receives the task's instruction, e.g. ``german``; one
+                is drawn by the episode's seed. An instruction that the set does not cover stays as it is.
             **options: Its arguments, e.g. ``checkpoint``.
 
         Raises:
-            ConfigError: When there is no such policy, or it does not take these arguments.
+            ConfigError: When there is no such policy or set, both words and a set are given, or the policy does not
+                take these arguments.
             PolicyError: When its module or its constructor raises.
         """
+        if wordings:
+            require_set(wordings)
+            if instruction:
+                raise ConfigError("reworded takes an instruction or a set of wordings, not both")
         self._policy = Overheard(load_policy(policy, **options))
-        self._instruction = instruction
+        self._instruction, self._wordings = instruction, wordings
 
     @property
     def any_thread(self) -> bool:
@@ -47,11 +56,15 @@ class RewordedPolicy:
     def describe(self) -> PolicyDescription:
         """Describe the other policy; the version names the instruction."""
         description = self._policy.describe()
-        version = f"{description.version} with the instruction '{self._instruction}'".strip()
+        said = f"wordings '{self._wordings}'" if self._wordings else f"instruction '{self._instruction}'"
+        version = f"{description.version} with the {said}".strip()
         return replace(description, version=version)
 
     def reset(self, start: EpisodeStart) -> None:
         """Start an episode of the other policy with the instruction."""
+        if self._wordings:
+            known = wordings_or_itself(start.instruction, self._wordings)
+            self._instruction = known[start.seed % len(known)]
         self._policy.reset(replace(start, instruction=self._instruction))
 
     def act(self, window: ObservationWindow) -> Any:
@@ -61,6 +74,11 @@ class RewordedPolicy:
     def received_instructions(self) -> tuple[str, ...]:
         """Return the instructions that the other policy was given since the last reset, as its calls had them."""
         return self._policy.received_instructions()
+
+
+def wordings_or_itself(instruction: str, name: str) -> tuple[str, ...]:
+    """Return an instruction in the words of a set; itself where the set does not cover it."""
+    return reworded(instruction, name) or (instruction,)
 
 
 class Overheard:

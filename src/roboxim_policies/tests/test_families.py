@@ -112,3 +112,14 @@ def test_every_family_has_a_policy_and_a_configuration():
         assert family in POLICIES
     with pytest.raises(ConfigError, match="unknown family"):
         config_class("rt2")
+
+
+def test_a_sample_is_given_in_the_words_of_a_set():
+    settings = config("rt1s", wordings="trained")
+    supply = Supply(data(4), settings)
+    assert supply._sentences.shape == (2, 5, 512)  # two instructions in five wordings each
+    drawn = {int(i) for step in range(8) for i in supply.batch(step)[1]["wording"]}
+    assert drawn == {0, 1, 2, 3, 4}
+    assert Supply(data(4), config("rt1s"))._sentences.shape == (2, 1, 512)
+    with pytest.raises(ConfigError, match="no wordings have a set 'train'"):
+        config("rt1s", wordings="train")

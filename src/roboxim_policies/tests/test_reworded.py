@@ -79,3 +79,17 @@ def test_its_policy_must_exist_and_take_its_arguments():
 @pytest.mark.parametrize(("policy", "any_thread"), [("zero", True), ("random", False)])
 def test_any_thread_may_call_it_if_any_thread_may_call_the_other_policy(policy, any_thread):
     assert GuardedPolicy(RewordedPolicy(policy=policy)).any_thread is any_thread
+
+
+def test_a_policy_hears_the_task_in_the_words_of_a_set(tmp_path):
+    file = tmp_path / "listener.py"
+    file.write_text(LISTENER)
+    policy = load_policy("reworded", policy=f"{file}:Listener", wordings="german")
+    for seed, said in ((0, "Heb den roten Würfel hoch"), (1, "Nimm den roten Würfel vom Tisch")):
+        policy.reset(EpisodeStart(episode_id="a", instruction="Pick up the red cube", seed=seed))
+        assert policy.received_instructions() == (said,)
+    assert "with the wordings 'german'" in policy.describe().version
+    with pytest.raises(ConfigError, match="not both"):
+        load_policy("reworded", policy=f"{file}:Listener", wordings="german", instruction="Stop")
+    with pytest.raises(ConfigError, match="no wordings have a set 'german2'"):
+        load_policy("reworded", policy=f"{file}:Listener", wordings="german2")

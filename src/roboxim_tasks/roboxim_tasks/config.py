@@ -20,6 +20,7 @@ from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.plain_data.merging import merged
+from roboxim_core.plain_data.wordings import wordings_of
 from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
 from roboxim_core.seeds import CELL, CELL_NUMBER
 from roboxim_tasks.checks import (
@@ -37,7 +38,7 @@ from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.fixed_scene import FIXED, fixed_task_config
 from roboxim_tasks.sequences import skill_of
 from roboxim_tasks.sequences.configuring import with_steps
-from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.skills import SKILLS, Skill
 from roboxim_tasks.skills.from_file import is_skill_file, load_skill_file
 from roboxim_tasks.task_config import ObjectConfig, TaskConfig
 
@@ -93,13 +94,21 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
         lenient=document.build(lenient, skill.Parameters, ("lenient",)),
         reset=reset,
         objects=objects,
-        templates=config.templates or Choice(values=skill.templates[: None if config.paraphrases else 1]),
+        templates=config.templates or Choice(values=_templates(document, config, skill)),
         max_steps=config.max_steps or max(0, ticks(skill.max_steps / DEFAULT_RATE_HZ, config.rate_hz)),
     )
     check_arguments(document, complete, library)
     check_exclusions(document, complete, library)
     check_reset(document, complete)
     return complete
+
+
+def _templates(document: Document, config: TaskConfig, skill: Skill) -> tuple[str, ...]:
+    """Return the wordings of a task that gives no templates."""
+    if not config.wordings:
+        return skill.templates[: None if config.paraphrases else 1]
+    with document.section(("wordings",)):
+        return wordings_of(config.skill, config.wordings)
 
 
 def _in_order(names: Iterable[str]) -> list[str]:

@@ -16,6 +16,7 @@ from typing import Any
 
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.plain_data.wordings import english_wordings
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 from roboxim_tasks.config import task_config
@@ -69,7 +70,7 @@ def _read_one(
     understood = False
     for name in SKILLS:
         skill = SKILLS[name]
-        for template in dict.fromkeys((*skill.templates, *(templates or {}).get(name, ()))):
+        for template in dict.fromkeys((*_templates(name), *(templates or {}).get(name, ()))):
             words = _match(template, text, skill, library)
             if words is None or not _roles(skill, words):
                 continue
@@ -95,11 +96,16 @@ def canonical_instruction(task: TaskSpec, library: ModelLibrary) -> str:
     skill = SKILLS[task.skill]
     first = next(iter(skill.templates), "")
     names = {name for _, name, _, _ in Formatter().parse(first) if name}
-    for template in skill.templates:
+    for template in _templates(task.skill):
         words = _match(template, task.instruction, skill, library)
         if words is not None and names <= words.keys():
             return first.format_map(words)
     return ""
+
+
+def _templates(skill: str) -> tuple[str, ...]:
+    """Return the wordings of a skill that are known: its own, and those of ``config/wordings``."""
+    return tuple(dict.fromkeys((*SKILLS[skill].templates, *english_wordings(skill))))
 
 
 def asks_for_same(first: TaskSpec, second: TaskSpec) -> bool:

@@ -103,7 +103,7 @@ class StepConfig:
 class TaskConfig:
     """A YAML file of ``config/tasks`` that describes one skill; see `TaskMix` for several skills."""
 
-    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("skill_file", "steps", "order")
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("skill_file", "wordings", "steps", "order")
 
     skill: str = "pick_up"
     """Registered skill, or ``path/to/file.py:Class``; with ``steps``, their skills joined by ``+``, which may be
@@ -124,6 +124,9 @@ class TaskConfig:
     """Instruction templates with roles in braces, e.g. ``Pick up the {target}``; none: the skill's."""
     paraphrases: bool = False
     """Whether to use all of the skill's templates, or only the first one, where ``templates`` are not given."""
+    wordings: str = ""
+    """Set of ``config/wordings/SKILL.yaml`` that gives the instructions, e.g. ``trained`` or ``held_out``, where
+    ``templates`` are not given; empty: the skill's templates."""
     objects: dict[str, ObjectConfig] = field(default_factory=dict)
     """Role of the skill to the objects that may fill it."""
     exclude: tuple[dict[str, dict[str, Scalar]], ...] = ()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.wordings import require_set
 from roboxim_policies.learning.config import LearningConfig
 
 
@@ -14,6 +15,8 @@ class EncodedConfig(LearningConfig):
     """Training of a policy on EfficientNet-Lite0 (ImageNet) and the Universal Sentence Encoder."""
 
     ENCODER: ClassVar[bool] = True
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("wordings",)
+    """Later fields, see `roboxim_core.config.LEFT_OUT`: trainings without them are continued."""
 
     image_sizes: dict[str, int] | None = None
     """Camera name to the side [px] of the encoder's square input, a multiple of 16. Cameras left out are not used.
@@ -37,6 +40,10 @@ class EncodedConfig(LearningConfig):
     sentence_noise: float = 0.3
     """Standard deviation of noise on the instruction's embedding in training, relative to its numbers, so that a
     wording that is near to a known one is understood as that one."""
+
+    wordings: str = ""
+    """Set of ``config/wordings`` in whose words each instruction is given in training, too, e.g. ``trained``: one is
+    drawn for each sample. Empty: only the instruction itself."""
 
     def side_of(self, camera: str) -> int:
         """Return the default side of the encoder's input for a camera [px]."""
@@ -66,5 +73,7 @@ class EncodedConfig(LearningConfig):
             raise ConfigError(f"image_sizes must be multiples of 16, got {self.image_sizes}")
         if self.sentence_noise < 0:
             raise ConfigError(f"sentence_noise must be >= 0, got {self.sentence_noise}")
+        if self.wordings:
+            require_set(self.wordings)
         if self.brightness or self.shift_px:
             raise ConfigError("brightness and shift_px must be 0: pictures are encoded once, before the training")

@@ -5,7 +5,8 @@ Everything random is a function of seed and step, and is drawn on the host.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from jax import Array
 
+from roboxim_core.plain_data.wordings import reworded
 from roboxim_policies.encoders.feature_cache import Features, features_of
 from roboxim_policies.encoders.sentences import SIZE, embeddings
 from roboxim_policies.learning.checkpoint import Statistics
@@ -21,6 +23,19 @@ from roboxim_policies.learning.data import Demonstrations
 from roboxim_policies.learning.samples import Samples, augmentation
 
 Indices = npt.NDArray[Any]
+
+
+def wordings(instructions: Sequence[str], config: LearningConfig) -> list[list[str]]:
+    """Return the wordings of each instruction, itself first; as many of each, some repeated where one has fewer.
+
+    Args:
+        instructions: The instructions.
+        config: Its ``wordings``, if the family has them, name the set.
+    """
+    name = getattr(config, "wordings", "")
+    found = [[text, *(reworded(text, name) if name else ())] for text in instructions]
+    most = math.lcm(*map(len, found)) if found else 1
+    return [texts * (most // len(texts)) for texts in found]
 
 
 class Supply:
@@ -50,7 +65,7 @@ class Supply:
         self._features: dict[str, Features] = {}
         if config.ENCODER:
             self._features = features_of(data.images, progress=progress)
-        self._sentences = embeddings([[text] for text in data.instructions]) if config.sentences else None
+        self._sentences = embeddings(wordings(data.instructions, config)) if config.sentences else None
 
     def samples(self, stats: Statistics) -> Samples:
         """Return the arrays of all samples, normalised."""

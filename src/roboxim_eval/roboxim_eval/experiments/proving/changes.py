@@ -52,7 +52,7 @@ RULES: tuple[tuple[str, Change], ...] = (
      Change(may=frozenset({"physics", "state", "pictures"}))),
     (r"distractors", Change(may=PLACED | {"others"})),
     (r"objects(\..*)?", Change(may=PLACED | {"objects", "physics", "others"})),
-    (r"templates|paraphrases|max_steps", Change()),
+    (r"templates|paraphrases|wordings|max_steps", Change()),
     (WORDS_SAY_OTHER_ROLES, Change(may=PLACED | {"objects", "physics", "others"})),
 )  # fmt: skip
 """Parts of a task, as `changed_parts` names them, to the allowed effects of a change. A part that is not listed, e.g.

@@ -286,7 +286,7 @@ def _changed(arms: Sequence[ArmClaim], demands: Mapping[str, Mapping[str, Demand
 
     def other(arm: ArmClaim) -> bool:
         mine = named[arm.condition]
-        return not {"templates", "paraphrases"}.isdisjoint(arm.changed) and any(
+        return not {"templates", "paraphrases", "wordings"}.isdisjoint(arm.changed) and any(
             len(mine[cell]) != 1 or mine[cell] != plain[cell] for cell in mine.keys() & plain.keys()
         )
 

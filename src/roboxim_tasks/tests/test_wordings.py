@@ -1,0 +1,60 @@
+"""Shipped wordings fit the skills, are split without overlap, and give a task its instruction."""
+
+import pytest
+
+from roboxim_core.config import parse_yaml
+from roboxim_core.config_folders import config_names
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.plain_data.wordings import _sets, reworded, set_names, wordings_of
+from roboxim_core.seeds import SeedPath
+from roboxim_tasks.config import load_task_config, task_config
+from roboxim_tasks.meaning import asks_for_same, read_instruction
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
+from roboxim_tasks.skills import SKILLS
+
+WORDED = [name for name in config_names("wordings") if not name.startswith("words_")]
+
+
+@pytest.mark.parametrize("skill", WORDED)
+def test_the_sets_of_a_skill_are_apart_and_begin_with_its_own_wording(skill):
+    sets = _sets()[skill]
+    assert sets["first"] == SKILLS[skill].templates[:1]
+    assert set(SKILLS[skill].templates[1:]) <= set(sets["trained"])
+    assert len(sets["held_out"]) >= 2
+    templates = [template for templates in sets.values() for template in templates]
+    assert len(templates) == len(set(templates))
+
+
+def test_a_task_is_worded_by_a_set():
+    text = "skill: pick_up\nwordings: held_out\n"
+    assert task_config(parse_yaml(text)).templates.values == wordings_of("pick_up", "held_out")
+    with pytest.raises(ConfigError, match="the wordings of 'pick_up' have no set 'heldout'; .*did you mean 'held_out'"):
+        task_config(parse_yaml("skill: pick_up\nwordings: heldout\n"))
+    with pytest.raises(ConfigError, match="there are no wordings of 'turn_upright'"):
+        task_config(parse_yaml("skill: turn_upright\nwordings: trained\n"))
+    with pytest.raises(ConfigError, match="another language.*--policy reworded --option wordings=german"):
+        task_config(parse_yaml("skill: pick_up\nwordings: german\n"))
+
+
+def test_an_instruction_is_said_in_other_words_and_another_language():
+    assert "Grab the red cube" in reworded("Pick up the red cube", "held_out")
+    assert reworded("Pick up the red cube", "german")[0] == "Heb den roten Würfel hoch"
+    assert reworded("Place the soda can on the plate.", "german")[0] == "Leg die Getränkedose auf den Teller"
+    turn = reworded("Rotate the knife clockwise by 90 degrees", "german")
+    assert turn == ("Dreh das Messer im Uhrzeigersinn um 90 Grad",)
+    assert reworded("Dance", "german") == ()
+    assert set_names() == ("german", "held_out", "trained")
+
+
+@pytest.mark.parametrize("skill", WORDED)
+def test_what_the_english_sets_say_is_understood(skill):
+    library = ModelLibrary()
+    seed = SeedPath(run_seed=3, purpose="test", index=0)
+    made = EpisodeGenerator(library, None, None).draw(seed, load_task_config(skill))
+    for name in ("trained", "held_out"):
+        texts = reworded(made.task.instruction, name)
+        assert texts
+        for text in texts:
+            found = read_instruction(text, made.scene, library)
+            assert any(asks_for_same(task, made.task) for task in found.tasks), text
