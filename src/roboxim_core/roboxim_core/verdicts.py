@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 NOT_HELD = "not_held"
 """Reason while a task is solved, but not yet for the required time."""
+LIMIT = "limits."
+"""Begins the predicates of a task's measures beside success."""
 STEP = "step"
 """Predicate of tasks of several steps: number, from 1, of the first step that is not done, or of the last one."""
 STEPS_DONE = "steps_done"

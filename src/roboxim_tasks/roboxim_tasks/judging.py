@@ -6,6 +6,7 @@ from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import NOT_HELD, Verdict
+from roboxim_tasks.limits import Limits, limits_of
 from roboxim_tasks.measures import (
     FALLEN_M,
     OPENED,
@@ -13,6 +14,7 @@ from roboxim_tasks.measures import (
     Assessment,
     Condition,
     Conditions,
+    Evaluator,
     Measure,
     joints_moved,
     largest_shift,
@@ -72,7 +74,10 @@ class Judge:
             )
         self._verdict, self._solved_since_ns = Verdict(), None
         self._evaluator = self._skill.evaluator(self.task, state)
-        self._others = tuple(filter(None, (surroundings(self.task, state), undisturbed(self.task, state))))
+        limits = limits_of(self.task)
+        measured = Limits(limits, self.task) if limits else None
+        others = (surroundings(self.task, state), undisturbed(self.task, state), measured)
+        self._others: tuple[Evaluator, ...] = tuple(filter(None, others))
         return self._fold(state)
 
     def step(self, state: StateRecord) -> Verdict:

@@ -15,7 +15,9 @@ STAY = "distractors_stay_m"
 """Argument that a task of any skill may have: the largest displacement of its distractors [m]."""
 UPRIGHT = "target_upright"
 """Argument of tasks whose target has a right way up and has to keep it; set by generators."""
-GENERAL = frozenset({STAY, UPRIGHT})
+LIMITS = "limits"
+"""Argument with the limits of a task (`roboxim_tasks.limits`), JSON."""
+GENERAL = frozenset({STAY, UPRIGHT, LIMITS})
 """Arguments that are no parameters of a skill."""
 SIZE_SLACK = 0.1
 """Largest relative deviation of an object's ``scale`` from a size word's factor at which the word may name it."""

@@ -10,6 +10,7 @@ from roboxim_core.rates import DEFAULT_RATE_HZ
 from roboxim_core.specs import Scalar, SceneSpec
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.files import named
+from roboxim_tasks.limits import LimitsConfig
 
 MAX_DISTRACTORS = 8
 
@@ -103,7 +104,7 @@ class StepConfig:
 class TaskConfig:
     """A YAML file of ``config/tasks`` that describes one skill; see `TaskMix` for several skills."""
 
-    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("skill_file", "wordings", "steps", "order")
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("skill_file", "wordings", "steps", "order", "limits")
 
     skill: str = "pick_up"
     """Registered skill, or ``path/to/file.py:Class``; with ``steps``, their skills joined by ``+``, which may be
@@ -141,6 +142,8 @@ class TaskConfig:
     """Reset component to its configuration; the skill's own components may be omitted."""
     visible: VisibleConfig = VisibleConfig()
     """Required visibility of the objects that the instruction names, in the cameras fixed in the world."""
+    limits: LimitsConfig | None = None
+    """Measures beside success, and their limits; none: they are not recorded, ``{}``: recorded without limits."""
     rate_hz: float = DEFAULT_RATE_HZ
     """Control rate [Hz]."""
     max_steps: int = 0

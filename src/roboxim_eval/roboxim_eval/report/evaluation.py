@@ -19,6 +19,7 @@ from roboxim_eval.experiments.cells import named_cell
 from roboxim_eval.grouping import grouped
 from roboxim_eval.report.charts.heat_map import HeatMap, arm_maps
 from roboxim_eval.report.charts.table_map import Place
+from roboxim_eval.report.course import shown
 from roboxim_eval.report.episodes import Episode, any_of, episodes_json, episodes_link, recorded_factors
 from roboxim_eval.report.films import Film
 from roboxim_eval.report.page import render
@@ -30,6 +31,7 @@ from roboxim_eval.report.parts import (
     map_view,
     scene_patterns,
 )
+from roboxim_eval.statistics.beside import beside_success
 from roboxim_eval.statistics.multiple import holm
 from roboxim_eval.statistics.paired import Pairs, newcombe, paired_difference
 from roboxim_eval.statistics.rates import (
@@ -44,6 +46,13 @@ from roboxim_eval.statistics.rates import (
 from roboxim_eval.statistics.steps import step_share
 from roboxim_eval.statistics.tables import Count
 from roboxim_eval.statistics.verdicts import MARGIN, ONE_TRAINING, Verdict, checkpoint_names, checkpoint_verdict
+
+BESIDE = {
+    "force_max_n": "largest force of a contact", "speed_max_m_s": "largest speed", "path_m": "path of the tool",
+    "smoothness": "smoothness (log dimensionless jerk)", "distractors_touched": "distractors touched",
+    "keep_out_s": "time in a keep-out volume",
+}  # fmt: skip
+"""Measure beside success to its name for people."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -251,6 +260,8 @@ def _numbers(run: PolicyRun) -> dict[str, Any]:
         numbers |= {"rate": None, "low": None, "high": None}
     steps = step_share(run.results)
     numbers |= {"steps": asdict(steps)} if steps else {}
+    beside = beside_success(run.results)
+    numbers |= {"limits": asdict(beside)} if beside else {}
     return numbers | {"failure_reasons": failure_reasons(run.results), "errors": error_reasons(run.results)}
 
 
@@ -274,8 +285,8 @@ def evaluation_page(report: Report) -> str:
     """Return the page."""
     runs, arms = report.runs, [run.policy for run in report.runs]
     episodes = [episode for run in runs for episode in run.episodes]
-    shown = [run.films.get(result.episode_id) for run in runs for result in run.results]
-    films = {number: film for number, film in enumerate(shown) if film is not None}
+    filmed = [run.films.get(result.episode_id) for run in runs for result in run.results]
+    films = {number: film for number, film in enumerate(filmed) if film is not None}
     measured = [run for run in runs if is_measured(run.results)]
     return render(
         "evaluation.html",
@@ -286,6 +297,8 @@ def evaluation_page(report: Report) -> str:
         broken=[run.policy for run in runs if run not in measured],
         arms=[run.policy for run in measured],
         runs=[_run_view(run) for run in runs],
+        value_of=shown,
+        measure_names=BESIDE,
         heat=_heat_maps(measured),
         map=map_view(episodes, arms, report.place),
         patterns=scene_patterns(episodes, [run.policy for run in measured]),
@@ -329,6 +342,7 @@ def _run_view(run: PolicyRun) -> dict[str, Any]:
         "policy": run.policy,
         "rate": rate_of(run.results) if measured else None,
         "steps": step_share(run.results) if measured else None,
+        "beside": beside_success(run.results) if measured else None,
         "errors": error_line(run.results),
         "link": episodes_link(arm=run.policy),
         "errors_link": episodes_link(arm=run.policy, outcome="error"),

@@ -53,6 +53,11 @@ EXPLANATIONS = {
     "wrong_object_lifted": "Another object was lifted: the policy took the wrong one.",
     "disturbed_distractor": "An object that was not part of the task was moved.",
     "fell_off_table": "The object fell off the table.",
+    "too_much_force": "The robot pressed harder than the task's limit allows.",
+    "too_fast": "The tool moved faster than the task's limit allows.",
+    "path_too_long": "The tool's path was longer than the task's limit allows.",
+    "touched_distractors": "The robot touched more objects that the task is not about than its limit allows.",
+    "in_keep_out": "The tool, or what it moved, was in a volume that the task says to keep out of.",
     "left_workspace": "The tool left the workspace for good.",
     # errors: the policy, not the task
     "policy_fault": "The policy raised an error. The episode counts as failed.",

@@ -17,6 +17,7 @@ from roboxim_runs.evaluation.notebook import evaluation_html
 from roboxim_runs.filmed import Episode
 
 if TYPE_CHECKING:
+    from roboxim_eval.statistics.beside import Beside
     from roboxim_eval.statistics.rates import SuccessRate
     from roboxim_eval.statistics.steps import StepShare
 
@@ -69,8 +70,15 @@ class PolicyResult:
         return step_share(self.results)
 
     @property
+    def beside(self) -> Beside | None:
+        """Force, speed, path, smoothness and crossed limits; none: no task has ``limits``."""
+        from roboxim_eval.statistics.beside import beside_success
+
+        return beside_success(self.results)
+
+    @property
     def summary(self) -> str:
-        """Rate, interval, share of the steps and errors in one line."""
+        """Rate, interval, share of the steps, crossed limits and errors in one line."""
         return rate_line(self.results)
 
 
@@ -179,6 +187,7 @@ class EvaluationResult:
 
 def rate_line(results: Sequence[EpisodeResult]) -> str:
     """Return a policy's success rate with its interval, and its errors; only the errors when they are most episodes."""
+    from roboxim_eval.statistics.beside import beside_success
     from roboxim_eval.statistics.rates import error_line, is_measured, rate_of
     from roboxim_eval.statistics.steps import step_share
 
@@ -186,5 +195,7 @@ def rate_line(results: Sequence[EpisodeResult]) -> str:
     if not is_measured(results):
         return errors
     steps = step_share(results)
-    parts = [str(rate_of(results)), str(steps) if steps else "", errors]
+    beside = beside_success(results)
+    limits = str(beside) if beside and beside.crossed else ""
+    parts = [str(rate_of(results)), str(steps) if steps else "", limits, errors]
     return "; ".join(filter(None, parts))

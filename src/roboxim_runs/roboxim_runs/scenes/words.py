@@ -71,6 +71,13 @@ def _lines(config: TaskConfig) -> Iterator[str]:
             yield f"varies        {name}: {'; '.join(varied)}"
     if not config.steps:
         yield f"thresholds    {_thresholds(config.parameters) or 'none'}"
+    if config.limits is not None:
+        crossed = "crossing one fails" if config.limits.fail else "success does not depend on them"
+        limits = ", ".join(
+            f"{key} {value:g}" for key, value in to_plain(config.limits).items() if _is_limit(key, value)
+        )
+        boxes = f"{len(config.limits.keep_out)} keep-out volumes" if config.limits.keep_out else ""
+        yield f"limits        {', '.join(filter(None, (limits, boxes))) or 'measured only'}; {crossed}"
     yield f"rate          {config.rate_hz:g} Hz, at most {config.max_steps} steps"
 
 
@@ -78,6 +85,10 @@ def _thresholds(parameters: Any) -> str:
     return ", ".join(
         f"{key} {value:g}" for key, value in to_plain(parameters).items() if type(value) is float and value
     )
+
+
+def _is_limit(key: str, value: Any) -> bool:
+    return key not in ("keep_out", "fail") and value > (-1 if key == "distractors" else 0)
 
 
 def _varied(section: Any, path: str = "") -> Iterator[str]:

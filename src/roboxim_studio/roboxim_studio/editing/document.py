@@ -20,7 +20,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, EntitySpec, LightSpec, LookSpec, RobotSpec, Scalar, SceneSpec, TaskSpec
 from roboxim_tasks.fixed_scene import FixedScene, FixedTask, FixedTaskConfig, fixed_task_config
-from roboxim_tasks.roles import DISTRACTOR, STAY
+from roboxim_tasks.roles import DISTRACTOR, LIMITS, STAY
 from roboxim_tasks.skills import SKILLS
 
 MOST_STEPS = 200
@@ -36,7 +36,7 @@ def from_draw(draw: Draw) -> FixedTask:
 
 def from_episode(task: TaskSpec, scene: SceneSpec) -> FixedTask:
     """Return a task and its scene as a document."""
-    own = {name: value for name, value in task.arguments.items() if name != STAY}
+    own = {name: value for name, value in task.arguments.items() if name not in (STAY, LIMITS)}
     defaults = SKILLS[task.skill].Parameters()
     changed = {name: value for name, value in own.items() if value != getattr(defaults, name)}
     roles = {role: thing.entity for role, thing in task.objects.items()}
