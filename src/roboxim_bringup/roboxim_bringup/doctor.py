@@ -41,7 +41,7 @@ class Finding:
     """``ok``, ``warning`` (a part works worse or not at all), ``missing`` (RoboXim does not work), or ``absent`` (an
     optional part is not installed)."""
     detail: str
-    """What was found."""
+    """The finding, in words."""
     remedy: str = ""
     """What to do."""
     without: str = ""
@@ -67,7 +67,7 @@ def _rated(name: str, good: bool, detail: str, otherwise: str = "warning", **mor
     Args:
         name: Subject of the check.
         good: Whether the check passed.
-        detail: What was found.
+        detail: The finding, in words.
         otherwise: State of the finding if the check failed.
         **more: ``remedy``, ``without`` and ``purpose`` of the finding.
     """

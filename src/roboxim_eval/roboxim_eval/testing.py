@@ -126,7 +126,7 @@ def _judged(design: Design, won: Won, instead: Mapping[str, str]) -> Iterator[Ju
 
 
 def planted_policies() -> dict[str, Card]:
-    """Return the cards of the planted policies that the documentation quotes, by what is planted."""
+    """Return the cards of the planted policies that the documentation quotes, by the planted behaviour."""
     design, worded = shipped(), shipped("skill_object_worded")
     unseen = [cell.key for cell in design.cells if cell.unseen]
     instead = {key: f"{'rotate' if 'pick_up' in key else 'pick_up'} {key.partition(' ')[2]}" for key in unseen}

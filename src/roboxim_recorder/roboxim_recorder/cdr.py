@@ -115,7 +115,7 @@ class MessageLayout:
         """Make the walk of a type.
 
         Args:
-            store: Store that knows the type.
+            store: Store with the type.
             name: Its full name, e.g. ``sensor_msgs/msg/Image``.
 
         Raises:

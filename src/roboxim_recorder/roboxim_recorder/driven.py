@@ -74,7 +74,7 @@ class DrivenDataset(Dataset):
 
         Args:
             path: The bag.
-            instruction: What was done in it.
+            instruction: Instruction of its episodes.
 
         Raises:
             RecorderError: ``EXPORT_REFUSED``, naming what it lacks; ``BAG_DAMAGED`` when it cannot be read.

@@ -1,6 +1,6 @@
 """The guard around every callback of a node: an exception becomes an answer with a code, and the node keeps running.
 
-The fields of a response that report a failure depend on the interface package; `fill_error` knows them. `GuardedNode`
+The fields of a response that report a failure depend on the interface package; `fill_error` handles them. `GuardedNode`
 wraps the callbacks that rclpy calls, so that no exception reaches the executor, where it would end the node.
 
 Non-obvious:

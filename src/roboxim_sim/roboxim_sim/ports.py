@@ -25,7 +25,7 @@ class SimConfig:
     """Wall-clock limit of motions that advance time outside an episode."""
     publish_unheard: bool = parameter(
         True,
-        "whether ticks are published when nobody listens, so that a late subscriber gets the newest "
+        "whether ticks are published without subscribers, so that a late subscriber gets the newest "
         "one; otherwise it gets the scene's topics and the ticks from 0.1 s later on",
     )
     """Whether ticks are published without subscribers. The workers of runs switch it off: nodes of their process take
@@ -38,7 +38,7 @@ class SimServer(RoboximNode):
     config: SimConfig
     """Its parameters."""
     world: World
-    """What it serves."""
+    """The served world."""
 
     @property
     def renderer_info(self) -> dict[str, str]:

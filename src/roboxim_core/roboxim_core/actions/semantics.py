@@ -112,7 +112,7 @@ class ActionSemantics:
     """A recording that lacks a field is refused: a default would guess what its actions mean."""
 
     control: ControlMode = ControlMode.END_EFFECTOR_DELTA
-    """What is commanded."""
+    """Commanded quantity."""
     frame: ReferenceFrame = ReferenceFrame.ROBOT_BASE
     """Frame in which a motion or pose of the tool centre point is expressed."""
     rotation: RotationRepresentation = RotationRepresentation.EULER_XYZ_EXTRINSIC

@@ -1,4 +1,4 @@
-"""Conventions: what a policy is sent, and what its numbers mean.
+"""Conventions: the requests to a policy, and the meaning of its answers.
 
 A convention is a file of ``config/conventions``, or of the user's folders: ``load_convention("libero")``. It holds only
 numbers: no wire, no ROS. `roboxim_core.conventions.convention` explains the conversions.

@@ -45,7 +45,7 @@ class ActionOutput:
     keys: tuple[str, ...] = ("actions",)
     """Keys of the answer that hold the action; several are joined, in this order, along the last axis."""
     control: ControlMode = ControlMode.END_EFFECTOR_DELTA
-    """What is commanded."""
+    """Commanded quantity."""
     frame: ReferenceFrame = ReferenceFrame.ROBOT_BASE
     """Frame of a motion of the tool centre point: along the base's axes, or the tool's."""
     rotation: RotationRepresentation = RotationRepresentation.EULER_XYZ_EXTRINSIC

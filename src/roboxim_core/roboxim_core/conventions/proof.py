@@ -1,4 +1,4 @@
-"""The proof of a convention: with which genuine client it was compared, and what its policies were trained on."""
+"""The proof of a convention: the genuine client that it was compared with, and the training data of its policies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A convention in words: what is sent, what one action does, and what to know.
+"""A convention in words: the request, the effect of an action, and notes for users.
 
 The examples of actions are not written here: they are decoded by the convention itself.
 """
@@ -191,7 +191,7 @@ def _meaning(convention: Convention) -> list[str]:
 
 
 def _response(action: ActionOutput) -> list[str]:
-    """Return what a controller's response does, with the numbers of the x axis."""
+    """Return the effect of a controller's response, with the numbers of the x axis."""
     assert action.response is not None
     gain, lag = action.response.gain[0], action.response.lag[0]
     full = 1e3 * action.translation_scale_m
@@ -273,7 +273,7 @@ def _example_number(convention: Convention, index: int) -> float:
 
 
 def _effect(convention: Convention, row: Floats, index: int, name: str) -> str:
-    """Return in words what a decoded action with one number does."""
+    """Return the effect of a decoded action with one number, in words."""
     action = convention.action
     if action.control.is_joint_space:
         value = row[index]

@@ -27,7 +27,7 @@ from roboxim_core.state import StateRecord
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TickAction:
-    """What a tick executes."""
+    """The executed action of a tick."""
 
     action: ActionArray
     """float32, shape (D,), of the executed meaning."""

@@ -147,8 +147,7 @@ class EpisodeRunner:
         self.description = ports.actor.describe()
         _require_consistent(self.description, config)
         self.warm = False
-        """Whether the policy has answered once; what it loads or compiles before that does not count as thinking
-        time."""
+        """Whether the policy has answered once; loading and compiling before that do not count as thinking time."""
         self.progress: tuple[str, int] = ("", 0)
         """Id and tick of the running episode, for progress displays."""
 

@@ -1,4 +1,4 @@
-"""What the controllers share: the commanded state, the result of an action, and the choice of a controller."""
+"""Shared parts of the controllers: the commanded state, the result of an action, and the choice of a controller."""
 
 from __future__ import annotations
 

@@ -198,7 +198,7 @@ class ObjectNotes:
     handles: tuple[Handle, ...] = ()
     """Handles that open it."""
     press_points: tuple[PressPoint, ...] = ()
-    """What is pressed."""
+    """Points to press."""
     toppled: tuple[Pose, ...] = ()
     """Poses of the base, above a support whose surface is at z = 0, in which it lies toppled; any yaw."""
     yaw_symmetry_rad: float = 0.0

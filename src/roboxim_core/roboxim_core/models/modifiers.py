@@ -37,7 +37,7 @@ PALETTE: Mapping[str, RGB] = MappingProxyType(
 
 @dataclass(frozen=True, kw_only=True)
 class Finish:
-    """What a ``material`` modifier changes."""
+    """Changes by a ``material`` modifier."""
 
     surface: MaterialSpec
     """Look, with the material's natural colour; a ``color`` modifier replaces the colour."""

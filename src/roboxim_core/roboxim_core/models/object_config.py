@@ -63,7 +63,7 @@ class ObjectConfig(ObjectNotes):
     rest_height: float | None = None
     """Height of the base frame above a support when it stands on it [m]; none: from the collision shapes."""
     modifiers: dict[str, ModifierModel] = field(default_factory=dict)
-    """Modifier name to what it allows."""
+    """Modifier name to its allowed values."""
 
     def __post_init__(self) -> None:
         """Check that the links form a tree and that every reference resolves.

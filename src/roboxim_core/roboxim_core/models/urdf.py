@@ -116,7 +116,7 @@ def mesh_path(name: str, urdf: Path) -> Path:
 
 
 def _package_name(folder: Path) -> str:
-    """Return the name of the ROS package at a folder; empty: the folder is not the root of a package."""
+    """Return the name of the ROS package whose root is a folder; empty: it is not the root of a package."""
     try:
         return (ElementTree.parse(folder / "package.xml").getroot().findtext("name") or "").strip()
     except (OSError, ElementTree.ParseError, ValueError, LookupError):

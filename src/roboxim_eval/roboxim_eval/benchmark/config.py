@@ -45,7 +45,7 @@ class BenchmarkConfig:
     experiments: tuple[str, ...]
     """Names of files in ``config/experiments``."""
     reference: Reference | None = None
-    """Published results; none: there are none."""
+    """Published results; none: not published."""
     scales: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Scale to the keys that it replaces in every experiment; other scales are the experiments' own."""
 

@@ -88,12 +88,12 @@ class CardDataset:
 
 
 ARGUMENTS = "arguments"
-"""Key of a recipe with what a condition adds to its trainer's command."""
+"""Key of a recipe with a condition's additions to its trainer's command."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Attestation:
-    """What is said about a training that cannot be seen in its data."""
+    """Statements about a training that its data do not show."""
 
     recipe: dict[str, Any] = field(default_factory=dict)
     """Everything besides the dataset and the seed that the result depends on, e.g. model, steps, learning rate."""
@@ -133,7 +133,7 @@ class CardTraining:
     seed: int = 0
     """Seed of the training."""
     attest: Attestation = Attestation()
-    """What is said about it."""
+    """Statements about it."""
 
 
 @dataclass(frozen=True, kw_only=True)

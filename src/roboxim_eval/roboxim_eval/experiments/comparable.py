@@ -35,18 +35,18 @@ def require_same_rollouts(cards: Mapping[str, Card], condition: str, cells: Coll
     Raises:
         ConfigError: When a run's rollouts had other tasks than those of the first one; names the keys.
     """
-    (first, reference), *others = ((name, _asked(card.experiment.config, condition, cells)) for name, card in
+    (first, reference), *others = ((name, _tasks_of(card.experiment.config, condition, cells)) for name, card in
                                    cards.items())  # fmt: skip
-    for name, asked in others:
-        if changed := differences(reference, asked, words=(f"in {first}", f"in {name}")):
+    for name, tasks in others:
+        if changed := differences(reference, tasks, words=(f"in {first}", f"in {name}")):
             raise ConfigError(
-                f"{first} and {name} cannot be compared, since their rollouts of condition '{condition}' were asked "
-                f"different things ({changed}); expected equal factors, set, evaluate.max_steps and condition. Compare "
+                f"{first} and {name} cannot be compared, since their rollouts of condition '{condition}' had "
+                f"different tasks ({changed}); expected equal factors, set, evaluate.max_steps and condition. Compare "
                 "runs of one experiment, or name another condition (--condition)"
             )
 
 
-def _asked(config: ExperimentConfig, condition: str, cells: Collection[str]) -> dict[str, Any]:
+def _tasks_of(config: ExperimentConfig, condition: str, cells: Collection[str]) -> dict[str, Any]:
     """Return the tasks of a condition's rollouts in some cells, as plain data, by the keys of the file."""
     met = [cell.levels for cell in cells_of(config) if cell.key in cells]
     factors: dict[str, dict[str, Any]] = {}
@@ -55,13 +55,13 @@ def _asked(config: ExperimentConfig, condition: str, cells: Collection[str]) -> 
             factors.setdefault(factor, {})[level] = told
     own = config.conditions[condition]
     words = {"instruction": own.instruction, "latency_ticks": own.latency_ticks}
-    asked = {
+    tasks = {
         "factors": factors,
         "set": _named_nulls(config.set),
         "conditions": {condition: words | ({"set": _named_nulls(own.set)} if own.set else {})},
         "evaluate": {"max_steps": config.evaluate.max_steps},
     }
-    plain: dict[str, Any] = json.loads(json.dumps({key: value for key, value in asked.items() if value}))
+    plain: dict[str, Any] = json.loads(json.dumps({key: value for key, value in tasks.items() if value}))
     return plain
 
 

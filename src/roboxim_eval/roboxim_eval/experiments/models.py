@@ -177,7 +177,7 @@ def compare_models(
 
     Raises:
         ConfigError: When there are fewer than two cards, a card lacks the condition, no cell is common to all, or the
-            rollouts of two runs were asked different things.
+            rollouts of two runs had different tasks.
     """
     if len(cards) < 2:
         raise ConfigError(f"a comparison needs at least two runs, got {len(cards)}")
@@ -313,7 +313,7 @@ def _strengths(scenes: Mapping[str, Sequence[Wins]], cells: set[str]) -> dict[st
 
     Args:
         scenes: Model to the outcomes of each replicate by scene.
-        cells: Cells to look at.
+        cells: Cells to include.
     """
     met = {
         name: {(replicate, *scene) for replicate, wins in enumerate(found) for scene in wins if scene[0] in cells}

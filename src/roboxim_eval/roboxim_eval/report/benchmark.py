@@ -47,7 +47,7 @@ class BenchmarkRow:
     relative: Bounds | None
     """Ratio to the baseline; none: refused."""
     published: ReferenceScore | None = None
-    """Published scores of the same; none: there are none."""
+    """Published scores; none: not published."""
     links: Mapping[str, str] = field(default_factory=dict)
     """Score to the address of its episodes; empty: no other page lists them."""
 

@@ -24,7 +24,7 @@ class Signals:
     """Curves that belong together, e.g. the components of the action."""
 
     name: str
-    """What they are."""
+    """Name of the group."""
     curves: Sequence[Curve]
     """The curves, each in a chart of its own."""
     about: str = ""

@@ -14,15 +14,15 @@ SCORES = {
     "absolute": ("absolute, u", "success in held-out cells", "success of the leave-out condition in held-out cells; "
                  "it ranks models"),
     "baseline": ("baseline, s", "success of the baseline there", "success of the baseline in the same cells"),
-    "gap": ("gap, s - u", "what holding out costs", "what holding out costs; the primary test"),
-    "relative": ("relative, u / s", "share of the baseline's success that is left", "the share of the baseline's "
-                 "success that is left"),
-    "words": ("words, u - b", "what the words are worth", "success lost without an instruction; if it is small, the "
+    "gap": ("gap, s - u", "success lost by holding out", "success lost by holding out; the primary test"),
+    "relative": ("relative, u / s", "remaining share of the baseline's success", "the remaining share of the "
+                 "baseline's success"),
+    "words": ("words, u - b", "effect of the instruction", "success lost without an instruction; if it is small, the "
               "scene suffices"),
     "competence": ("competence", "difference where both have trained", "leave-out minus baseline in cells that both "
                    "have seen; far from 0, the gap is not due to the held-out cells alone"),
-    "substitution": ("substitution", "failures that did something else it was taught", "share of failed held-out "
-                     "episodes that satisfied another instruction of the training; 0 says nothing where no scene "
+    "substitution": ("substitution", "failures that satisfied another taught instruction", "share of failed held-out "
+                     "episodes that satisfied another instruction of the training; 0 has no meaning where no scene "
                      "allows one"),
 }  # fmt: skip
 """Score of a card to its name in tables, its description, and its meaning."""

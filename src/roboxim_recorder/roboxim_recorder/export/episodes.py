@@ -82,7 +82,7 @@ def exported_episode(source: Source, content: Content) -> Episode:
 
     Args:
         source: The bag.
-        content: What the export consists of.
+        content: Content of the export.
     """
     length = -(-source.result.steps // content.every)
     description = content.describe((source,))

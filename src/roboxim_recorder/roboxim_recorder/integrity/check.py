@@ -47,7 +47,7 @@ class BagReport:
     reason: str = ""
     """Reason why it is not a success."""
     problems: tuple[str, ...] = ()
-    """What is wrong; empty: the bag is whole."""
+    """Faults; empty: the bag is whole."""
     notes: tuple[str, ...] = ()
     """Changes by another program that wrote the bag again, which affect no reader; empty: the recorder wrote it."""
     foreign: bool = False
@@ -60,7 +60,7 @@ class BagReport:
 
 
 def check_bag(path: Path | str) -> BagReport:
-    """Read a whole bag and report what is wrong with it.
+    """Read a whole bag and report its faults.
 
     Damage never raises. A wrong checksum ends the check, since no content is reliable then.
 
@@ -97,7 +97,7 @@ def check_bag(path: Path | str) -> BagReport:
 
 
 def checksum_problems(file: Path) -> list[str]:
-    """Return what is wrong with the checksums of an MCAP file; no message is decoded.
+    """Return the faults that the checksums of an MCAP file show; no message is decoded.
 
     Raises:
         RecorderError: With code ``BAG_DAMAGED`` when it cannot be read.
@@ -129,7 +129,7 @@ class _BagCheck:
         return self._check.ticks if self._check else 0
 
     def problems(self) -> Iterator[str]:
-        """Yield what is wrong."""
+        """Yield the faults."""
         if topics.INFO not in self._reader.types:
             raise not_an_episode(self._reader.path, self._reader.counts)
         with damage(self._reader.path):

@@ -72,7 +72,7 @@ class RepairReport:
     reason: str = ""
     """Why it is not a success; `OUTCOME_UNKNOWN` when its result is lost."""
     reasons: tuple[str, ...] = ()
-    """What is wrong with the bag, in the order of the file."""
+    """Faults of the bag, in the order of the file."""
 
     @property
     def text(self) -> str:

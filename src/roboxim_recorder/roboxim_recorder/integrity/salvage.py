@@ -45,7 +45,7 @@ class Damage:
     end: int
     """Byte behind the last one."""
     what: str
-    """What is wrong, a phrase."""
+    """The fault, a phrase."""
 
     @property
     def text(self) -> str:

@@ -62,7 +62,7 @@ class TickCheck:
                 yield f"topic {name} is {f'of type {found}' if found else 'missing'}, expected {kind}"
 
     def message(self, topic: str, message: Message) -> Iterator[str]:
-        """Take a message of a tick and yield what is wrong with it; the tick ends with its message on `topics.STEP`."""
+        """Take a message of a tick and yield its faults; the tick ends with its message on `topics.STEP`."""
         if topic in self._tick:
             yield f"tick {self.ticks} has two messages on {topic}"
         if topic not in self._layouts:

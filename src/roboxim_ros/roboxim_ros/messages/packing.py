@@ -45,7 +45,7 @@ def packer(cls: type, name: str, store: Typestore) -> Packer:
     Args:
         cls: The dataclass.
         name: Full name of a message type whose fields it has; it may have others.
-        store: Store that knows the type.
+        store: Store with the type.
 
     Raises:
         RoboximError: When the message has a field of a kind that is not converted here.

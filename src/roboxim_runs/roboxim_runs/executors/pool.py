@@ -48,7 +48,7 @@ class Place(Protocol):
 
         Args:
             job: The job's data.
-            on_note: Receives what the worker reports.
+            on_note: Receives the worker's reports.
 
         Raises:
             ClosingError: When the run is over.

@@ -1,8 +1,8 @@
 """A Ray actor that has one worker: a subprocess on the actor's node, in a ROS domain of its own there.
 
 The actor's process imports no ROS: rclpy in an actor needs an environment that the actor's process was not started
-with, and forks of it hang. It starts the worker as a program, with an environment of named variables, and passes on
-what the worker reports. Only plain data goes through Ray: jobs, results and progress.
+with, and forks of it hang. It starts the worker as a program, with an environment of named variables, and passes on the
+worker's reports. Only plain data goes through Ray: jobs, results and progress.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class RayWorker:
         self._jobs.put(job)
 
     def poll(self, timeout_s: float) -> list[tuple[str, Any]]:
-        """Return what the worker has reported: pairs of a kind and its content, plain data.
+        """Return the worker's reports: pairs of a kind and its content, plain data.
 
         Args:
             timeout_s: Longest wait for something other than progress [s]; progress waits as long.

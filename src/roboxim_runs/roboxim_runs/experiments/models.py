@@ -66,7 +66,7 @@ def _wins(folder: ExperimentFolder, condition: str) -> list[Wins]:
 def _same_seeds(cards: Mapping[str, Card], name: str, condition: str) -> bool:
     """Return whether a run's final evaluations have the seeds of the first run's.
 
-    Then their scenes are the same: `compare_models` refuses runs whose rollouts were asked different things.
+    Then their scenes are the same: `compare_models` refuses runs whose rollouts had different tasks.
     """
 
     def seeds(card: Card) -> list[int]:

@@ -132,7 +132,7 @@ def _write_reports(folder: Path, records: Mapping[str, EvaluationRecord], shards
         report_of(folder / name, record, page=page)
 
 
-# ------------------------------------------------------------------ what there is
+# ------------------------------------------------------------------ the shards
 
 
 def _planned(target: Path, shards: Sequence[Path]) -> list[_Merge]:
@@ -298,10 +298,10 @@ class _Merge:
         have = ", ".join(str(run.config().get("shard") or "all") for run in self.runs)
         raise ConfigError(
             f"{len(self.missing)} of {self.config['episodes']} episodes of run '{self.name}' are missing: index "
-            f"{shown}{more} (given shards: {have}); run the missing shards, or merge what there is with --partial"
+            f"{shown}{more} (given shards: {have}); run the missing shards, or merge the existing ones with --partial"
         )
 
-    # ------------------------------------------------------------------ what is made of it
+    # ------------------------------------------------------------------ the merged run
 
     def fill(self, folder: Path) -> Iterator[None]:
         """Make the merged run's folder; yields after each episode."""

@@ -1,1 +1,1 @@
-"""Proofs that an experiment's demonstrations and evaluations are what its cells say."""
+"""Proofs that an experiment's demonstrations and evaluations match its cells."""

@@ -53,7 +53,7 @@ class Fault:
     bag: str
     """Its bag."""
     text: str
-    """What is wrong, with figures."""
+    """The fault, with figures."""
 
     def __str__(self) -> str:
         """Format bag, check and figures."""
@@ -119,7 +119,7 @@ def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown], *, without: 
     episodes with compared pictures, and a statement the reasons for the others, which are no fault either.
 
     Args:
-        demands: Cell to what it demands.
+        demands: Cell to its demands.
         episodes: Content of the bags.
         without: Checks that do not apply, e.g. ``words`` to demonstrations of an expert, which reads the task.
     """
