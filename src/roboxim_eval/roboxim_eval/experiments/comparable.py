@@ -51,8 +51,8 @@ def _tasks_of(config: ExperimentConfig, condition: str, cells: Collection[str]) 
     met = [cell.levels for cell in cells_of(config) if cell.key in cells]
     factors: dict[str, dict[str, Any]] = {}
     for factor, level in dict.fromkeys(item for levels in met for item in levels.items()):
-        if told := _told(config, factor, level):
-            factors.setdefault(factor, {})[level] = told
+        if settings := _level_settings(config, factor, level):
+            factors.setdefault(factor, {})[level] = settings
     own = config.conditions[condition]
     words = {"instruction": own.instruction, "latency_ticks": own.latency_ticks}
     tasks = {
@@ -65,7 +65,7 @@ def _tasks_of(config: ExperimentConfig, condition: str, cells: Collection[str]) 
     return plain
 
 
-def _told(config: ExperimentConfig, factor: str, level: str) -> Any:
+def _level_settings(config: ExperimentConfig, factor: str, level: str) -> Any:
     """Return the settings of a level: keys of the task, an object model, or a task's file; empty: only its name."""
     levels = config.factors[factor]
     if isinstance(levels, Mapping) and levels[level]:
