@@ -132,7 +132,8 @@ def try_out(version: str) -> dict[str, Any]:
     """Install the wheels in an empty environment and run them there.
 
     Returns:
-        Seconds of each step, and the size of the installation without extras [MB].
+        Seconds of each step, and sizes [MB]: without extras, with `learn` and `lerobot`, what each extra then adds, and
+        with all.
     """
     record: dict[str, Any] = {"python": version}
     with tempfile.TemporaryDirectory(prefix="roboxim-release-") as folder:
@@ -174,9 +175,16 @@ def try_out(version: str) -> dict[str, Any]:
             raise SetupError(f"`roboxim train bc` does not name its extra: {refused.stderr[-2000:]}")
         do("example_s", "python", "-c", EXAMPLE)
         do("graph_s", "bash", "-c", GRAPH)
+        do("new_server_s", "roboxim", "policy", "new-server")
         install("install_extras_s", "roboxim[learn,lerobot]")
         record["extras_mb"] = round(size_of(venv) / 1e6)
         do("smoke_demo_s", "roboxim", "demo", "--smoke", "--out", "demo")
+        for extra in EXTRAS:
+            before = size_of(venv)
+            install(f"install_{extra}_s", f"roboxim[{extra}]")
+            record[f"{extra}_mb"] = round((size_of(venv) - before) / 1e6)
+        record["all_extras_mb"] = round(size_of(venv) / 1e6)
+        do("doctor_with_extras_s", "roboxim", "doctor")
     return record
 
 
