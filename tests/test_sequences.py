@@ -170,3 +170,12 @@ def test_any_order_counts_in_any_order(tmp_path):
 def test_wrong_sequences_are_refused(change, message):
     with pytest.raises(ConfigError, match=message):
         parse_task_config(blind("two_steps", **change))
+
+
+@pytest.mark.thorough
+def test_cameras_see_all_objects_of_a_long_task(tmp_path):
+    """Draw a scene with its cameras: five named objects, each of which is drawn once more by itself."""
+    with CoreGraph(tmp_path) as graph:
+        draw = graph.ports.scenes.draw(DRAWN, Path(named_config("tasks", "tidy_up")).read_text())
+    assert len(draw.task.objects) == 5
+    assert draw.scene.cameras

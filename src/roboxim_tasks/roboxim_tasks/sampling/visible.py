@@ -16,7 +16,7 @@ import numpy.typing as npt
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.visuals import drawn_entities
-from roboxim_core.poses import Pose
+from roboxim_core.poses import Pose, Vec3
 from roboxim_core.specs import (
     CameraNoise,
     CameraSpec,
@@ -125,8 +125,7 @@ class Visibility:
         if not views or not names:
             return []
         shown, posed = _with_copies(scene, names, state)
-        depths = {name: BELOW_M * number for number, name in enumerate(names, start=1)}
-        copies = [_copy(view, name, depth) for view in views for name, depth in depths.items()]
+        copies = [_copy(view, name, _away(n)) for view in views for n, name in enumerate(names)]
         shown = replace(shown, cameras=(*views, *copies))
         ids = {name: number for number, name in enumerate(drawn_entities(shown), start=1)}
         images = self._renderer.segment(shown, posed)
@@ -160,7 +159,7 @@ def _small(camera: CameraSpec) -> CameraSpec:
     return replace(small, depth=False, segmentation=True, distortion=(), noise=CameraNoise(), rate_hz=0.0)
 
 
-def _copy(camera: CameraSpec, entity: str, depth_m: float) -> CameraSpec:
+def _copy(camera: CameraSpec, entity: str, away: Vec3) -> CameraSpec:
     """Return the camera that sees only an object's copy, in a picture extended by a quarter on every side."""
     (fx, fy, cx, cy), dx, dy = camera.matrix, camera.width // 4, camera.height // 4
     return replace(
@@ -169,7 +168,7 @@ def _copy(camera: CameraSpec, entity: str, depth_m: float) -> CameraSpec:
         width=camera.width + 2 * dx,
         height=camera.height + 2 * dy,
         intrinsics=(fx, fy, cx + dx, cy + dy),
-        pose=_below(camera.pose, depth_m),
+        pose=_moved(camera.pose, away),
         far=min(camera.far, BELOW_M / 2),
     )
 
@@ -179,17 +178,23 @@ def _with_copies(scene: SceneSpec, names: list[str], state: StateRecord) -> tupl
     bodies = [EntitySpec(name=e.name, model=e.model, modifiers=e.modifiers) for e in scene.entities]
     bodies += [replace(bodies[[e.name for e in bodies].index(name)], name=_alone(name)) for name in names]
     copies = [
-        replace(state.entity(name), name=_alone(name), pose=_below(state.entity(name).pose, BELOW_M * number))
-        for number, name in enumerate(names, start=1)
+        replace(state.entity(name), name=_alone(name), pose=_moved(state.entity(name).pose, _away(n)))
+        for n, name in enumerate(names)
     ]
     robot = RobotSpec(model=scene.robot.model, pose=scene.robot.pose)
     shown = replace(scene, entities=tuple(bodies), robot=robot, look=LOOK, cameras=())
     return shown, replace(state, entities=(*state.entities, *copies))
 
 
-def _below(pose: Pose, depth_m: float) -> Pose:
+def _away(number: int) -> Vec3:
+    """Return how far from the scene an object's copy is [m]: three below each other, the next three beside them."""
+    beside, below = divmod(number, 3)
+    return (BELOW_M * beside, 0.0, -BELOW_M * (below + 1))
+
+
+def _moved(pose: Pose, by: Vec3) -> Pose:
     x, y, z = pose.position
-    return replace(pose, position=(x, y, z - depth_m))
+    return replace(pose, position=(x + by[0], y + by[1], z + by[2]))
 
 
 def _alone(*names: str) -> str:
