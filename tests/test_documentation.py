@@ -110,6 +110,21 @@ def test_pages_are_short(file: Path) -> None:
         assert len(file.read_text().splitlines()) <= MAX_LINES, "split it by subject, or by kind (see mkdocs.yml)"
 
 
+@pytest.mark.parametrize("file", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_a_page_that_names_the_thesis_links_to_it(file: Path) -> None:
+    text = file.read_text()
+    if str(file.relative_to(ROOT)) not in GENERATED and re.search(r"\bthesis\b(?!\.)", text, re.IGNORECASE):
+        assert "glossary.md#the-thesis" in text or file.name == "glossary.md"
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_uv_is_called_where_it_is(file: Path) -> None:
+    code = "".join(re.findall(r"^```.*?^```$", file.read_text(), re.MULTILINE | re.DOTALL))
+    assert not re.search(r"^uv ", code, re.MULTILINE), (
+        "the set-up puts it into .tools/uv/bin; other tools have their own"
+    )
+
+
 def test_every_page_is_in_the_site_s_navigation() -> None:
     named = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2]))
     made = {"index.md", "reference/cli.md", "reference/api.md"}  # by scripts/docs.py
