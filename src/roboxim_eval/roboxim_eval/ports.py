@@ -323,9 +323,9 @@ class RecorderClient:
         Only a recorder of this process gets the instructions that the policy received.
         """
         self.wait_written()
-        told = self._clients.send_local(RECORD_RECEIVED, (result.episode_id, tuple(received)))
-        if told is not None:
-            self._clients.value_of(told, RECORD_RECEIVED, MESSAGE_TIMEOUT_S)
+        call = self._clients.send_local(RECORD_RECEIVED, (result.episode_id, tuple(received)))
+        if call is not None:
+            self._clients.value_of(call, RECORD_RECEIVED, MESSAGE_TIMEOUT_S)
         request = CloseEpisode.Request(result=to_msg(result, EpisodeResultMsg), keep=keep)
         answer = self._clients.call(CloseEpisode, "recorder/close_episode", request, timeout_s=SERVICE_TIMEOUT_S)
         self._open = ""

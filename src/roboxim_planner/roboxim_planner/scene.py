@@ -266,9 +266,9 @@ class SceneMaker:
         return replace(scene, gripper_opening=around.opening, allowed=allowed)
 
     def _snapshot(self, around: Surroundings) -> PlanningScene:
-        asked = (around.scene, around.state, around.moved)
-        if self._last is None or any(mine is not theirs for mine, theirs in zip(self._last[0], asked, strict=True)):
-            self._last = asked, PlanningScene.from_state(around.scene, around.state_then, self._library)
+        key = (around.scene, around.state, around.moved)
+        if self._last is None or any(mine is not theirs for mine, theirs in zip(self._last[0], key, strict=True)):
+            self._last = key, PlanningScene.from_state(around.scene, around.state_then, self._library)
         return self._last[1]
 
 

@@ -220,11 +220,11 @@ class BagReader:
         Raises:
             RecorderError: With code ``BAG_DAMAGED``.
         """
-        told = self.metadata.get(RECEIVED_KEY, "[]")
+        encoded = self.metadata.get(RECEIVED_KEY, "[]")
         with damage(self.path):
-            found = json.loads(told)
+            found = json.loads(encoded)
             if not isinstance(found, list) or not all(isinstance(text, str) for text in found):
-                raise ValueError(f"its metadata record has {RECEIVED_KEY} {told!r}, expected a list of instructions")
+                raise ValueError(f"its metadata record has {RECEIVED_KEY} {encoded!r}, expected a list of instructions")
             return tuple(found)
 
     def __len__(self) -> int:

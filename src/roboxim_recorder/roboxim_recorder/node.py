@@ -132,9 +132,9 @@ class RecorderNode(RoboximNode):
         request.result.bag = bag_path(episode_id, request.keep)
         result = from_msg(request.result, EpisodeResult)
         self._recording = None
-        told, received = self._received
+        received_for, received = self._received
         response.bag = recording.close(
-            result, serialize_message(request.result), request.keep, received if told == episode_id else ()
+            result, serialize_message(request.result), request.keep, received if received_for == episode_id else ()
         )
 
     def _on_received_call(self, received: tuple[str, tuple[str, ...]]) -> None:

@@ -61,8 +61,8 @@ class TickContent:
 
 def outcome_metadata(info: EpisodeInfo, result: EpisodeResult, received: Sequence[str] = ()) -> dict[str, str]:
     """Return the bag's metadata record of the episode, its outcome, and the instructions that the policy was given."""
-    told = {RECEIVED_KEY: json.dumps(list(received))} if received else {}
-    return told | {
+    instructions = {RECEIVED_KEY: json.dumps(list(received))} if received else {}
+    return instructions | {
         "outcome": result.outcome,
         "reason": result.reason,
         "instruction": info.task.instruction,

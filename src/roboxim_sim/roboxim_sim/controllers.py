@@ -106,8 +106,8 @@ class ArmController:
         """Execute a goal and return the result."""
         result = _Result()
         try:
-            asked = self._checked(goal.request)
-            await self._move(goal, asked)
+            target = self._checked(goal.request)
+            await self._move(goal, target)
             if goal.is_cancel_requested:
                 goal.canceled()
                 result.error_string = "cancelled; the arm stays where it was"
@@ -121,11 +121,11 @@ class ArmController:
             result.error_code, result.error_string = _Result.INVALID_GOAL, f"{error.code.name}: {error}"
         return result
 
-    async def _move(self, goal: ServerGoalHandle, asked: _Goal) -> None:
+    async def _move(self, goal: ServerGoalHandle, target: _Goal) -> None:
         """Follow the trajectory, then wait until the arm is within the goal tolerances."""
-        trajectory, strayed = asked.trajectory, ""
+        trajectory, strayed = target.trajectory, ""
         start_ns = self._world.record.stamp_ns
-        motion = self._world.follow(trajectory, settle_s=asked.goal_time_s)
+        motion = self._world.follow(trajectory, settle_s=target.goal_time_s)
         states = published_states(self._node, goal, motion)
         async for record in states:
             time_s = 1e-9 * (record.stamp_ns - start_ns)
@@ -133,13 +133,13 @@ class ArmController:
             actual = JointStates(positions=record.robot.joint_positions, velocities=record.robot.joint_velocities)
             goal.publish_feedback(_feedback(record, desired, time_s))
             ended = time_s > trajectory.duration_s - 1e-6
-            strayed = violation(asked.end if ended else asked.path, desired, actual)
+            strayed = violation(target.end if ended else target.path, desired, actual)
             if ended != bool(strayed):
                 break
         await states.aclose()
         if strayed and not goal.is_cancel_requested:
             if ended:
-                message = f"{strayed}, {asked.goal_time_s:g} s after the trajectory's end; something is in the way"
+                message = f"{strayed}, {target.goal_time_s:g} s after the trajectory's end; something is in the way"
                 raise GoalError(_Result.GOAL_TOLERANCE_VIOLATED, message)
             raise GoalError(_Result.PATH_TOLERANCE_VIOLATED, f"{strayed}, {time_s:.3f} s after the start")
 

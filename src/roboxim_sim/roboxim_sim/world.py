@@ -638,7 +638,7 @@ class World:
 
 def _executable(semantics: ActionSemantics | None, scene: SceneSpec) -> ActionSemantics:
     """Return the semantics at the scene's rate; refuse those that the simulator does not execute."""
-    asked = semantics or ActionSemantics(rate_hz=scene.control_rate_hz)
-    executed = asked.executed(scene.control_rate_hz)
-    asked.require_compatible(executed, mine="the request", theirs="the simulator")
+    requested = semantics or ActionSemantics(rate_hz=scene.control_rate_hz)
+    executed = requested.executed(scene.control_rate_hz)
+    requested.require_compatible(executed, mine="the request", theirs="the simulator")
     return executed

@@ -2,7 +2,7 @@
 
 Non-obvious:
 
-- An answer is made for the tick of its observation (``asked``) and can be used from the tick on which it arrives.
+- An answer is made for the tick of its observation (``observed``) and can be used from the tick on which it arrives.
   Without latency these are the same tick.
 - An ensemble needs several answers for one tick, so it requests one at every tick unless ``execute`` is set.
 - Numbers are averaged as they are, as Octo's and ACT's ensembles do. Where that would not give a rotation (quaternions,
@@ -144,25 +144,27 @@ class ActionPlan:
         """Return whether a request to the policy is due at a tick."""
         return self._next_request is not None and seq >= self._next_request
 
-    def add(self, asked: int, delay: int, rows: ActionArray, phases: tuple[str, ...], *, done: bool = False) -> None:
+    def add(self, observed: int, delay: int, rows: ActionArray, phases: tuple[str, ...], *, done: bool = False) -> None:
         """Add an answer.
 
         Args:
-            asked: Tick of its observation.
+            observed: Tick of its observation.
             delay: Ticks until it arrives.
             rows: float32, shape (horizon, D).
             phases: A phase per row, or none.
             done: Whether the actor has finished after these rows; ignored unless all of them are executed.
         """
-        arrives = asked + delay
+        arrives = observed + delay
         drops = self.chunking.late_rows == LateRows.DROP
         use = self.chunking.rows_per_request(len(rows))
         self._answers.append(
-            _Answer(arrives=arrives, start=asked if drops else arrives, rows=rows, phases=phases or ("",) * len(rows))
+            _Answer(
+                arrives=arrives, start=observed if drops else arrives, rows=rows, phases=phases or ("",) * len(rows)
+            )
         )
-        self._next_request = (arrives if self._one_at_a_time else asked) + use
+        self._next_request = (arrives if self._one_at_a_time else observed) + use
         if drops and self._one_at_a_time:
-            self._next_request = max(arrives, min(self._next_request, asked + len(rows)))
+            self._next_request = max(arrives, min(self._next_request, observed + len(rows)))
         if done and use == len(rows):
             self._next_request = None
 

@@ -89,12 +89,12 @@ def _timing(convention: Convention) -> str:
     chunking = convention.chunking
     many = f"answers with up to {chunking.horizon} actions" if chunking.horizon > 1 else "answers with one action"
     text = f"The policy acts at {rate} and {many}"
-    asked = chunking.rows_per_request(chunking.horizon)
+    used = chunking.rows_per_request(chunking.horizon)
     if chunking.ensemble == Ensemble.NEWEST:
         return text + (
-            "." if asked == chunking.horizon else f", of which {asked} {'is' if asked == 1 else 'are'} executed."
+            "." if used == chunking.horizon else f", of which {used} {'is' if used == 1 else 'are'} executed."
         )
-    when = "at every tick" if asked == 1 else f"every {asked} ticks"
+    when = "at every tick" if used == 1 else f"every {used} ticks"
     weights = ""
     if chunking.ensemble == Ensemble.EXPONENTIAL:
         weights = f", with weights exp(-{chunking.ensemble_decay:g} i), i = 0 for the oldest,"

@@ -17,8 +17,8 @@ _MISSING = object()
 
 
 def differences(
-    there: Mapping[str, Any],
-    asked: Mapping[str, Any],
+    stored: Mapping[str, Any],
+    requested: Mapping[str, Any],
     *,
     ignore: Collection[str] = (),
     words: tuple[str, str] = ("stored", "requested"),
@@ -28,8 +28,8 @@ def differences(
     YAML text, such as a run's ``task_config``, is compared key by key.
 
     Args:
-        there: The existing configuration, plain data.
-        asked: The requested configuration, plain data.
+        stored: The existing configuration, plain data.
+        requested: The requested configuration, plain data.
         ignore: Outermost keys that may differ.
         words: What follows a value of the first and of the second configuration.
 
@@ -37,10 +37,14 @@ def differences(
         For example ``seed: 0 stored, 1 requested; task_config.skill: "rotate" stored, "pick_up" requested``; empty
         when they are equal.
     """
-    keys = [key for key in dict.fromkeys((*asked, *there)) if key not in ignore and there.get(key) != asked.get(key)]
+    keys = [
+        key
+        for key in dict.fromkeys((*requested, *stored))
+        if key not in ignore and stored.get(key) != requested.get(key)
+    ]
     found: list[str] = []
     for key in sorted(keys):
-        old, new = (_leaves(key, data[key]) if key in data else {} for data in (there, asked))
+        old, new = (_leaves(key, data[key]) if key in data else {} for data in (stored, requested))
         inner = [name for name in dict.fromkeys((*new, *old)) if old.get(name, _MISSING) != new.get(name, _MISSING)]
         found += [f"{name}: {_shown(old, name)} {words[0]}, {_shown(new, name)} {words[1]}" for name in inner] or [
             f"{key}: the same values in another order or with other comments"

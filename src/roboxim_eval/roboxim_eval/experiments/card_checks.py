@@ -141,8 +141,8 @@ def _verdict(comparison: Comparison, primary: bool) -> CardVerdict:
 def attestation_warnings(trainings: Iterable[CardTraining]) -> Iterable[str]:
     """Yield a sentence for missing statements, each difference of the recipes, and exposure to held-out pairs."""
     trainings = tuple(trainings)
-    if unsaid := sorted({t.condition for t in trainings if not t.attest.recipe}):
-        yield f"The recipe of {' and '.join(unsaid)} is not stated, so more than the dataset may differ."
+    if unstated := sorted({t.condition for t in trainings if not t.attest.recipe}):
+        yield f"The recipe of {' and '.join(unstated)} is not stated, so more than the dataset may differ."
     by_condition: dict[str, CardTraining] = {}
     for training in trainings:
         first = by_condition.setdefault(training.condition, training)

@@ -116,7 +116,7 @@ def benchmark_page(
         pages: Experiment to the address of its own page, to whose episodes its numbers link; none: no links.
         warnings: Experiment to further limitations of its results, besides its card's warnings.
     """
-    rows, own, told = list(benchmark_rows(card, pages)), pages or {}, warnings or {}
+    rows, own, limitations = list(benchmark_rows(card, pages)), pages or {}, warnings or {}
     return render(
         "benchmark.html",
         title=f"Benchmark {card.name}, scale {card.scale}",
@@ -125,7 +125,8 @@ def benchmark_page(
         rows=rows,
         charts=list(_charts(rows)),
         experiments=[
-            _experiment(name, one, own.get(name, ""), told.get(name, ())) for name, one in card.experiments.items()
+            _experiment(name, one, own.get(name, ""), limitations.get(name, ()))
+            for name, one in card.experiments.items()
         ],
         command=command,
     )

@@ -144,8 +144,8 @@ def what_happened(
         kept = f"all conditions held, but for {held_s:.1f} s of {hold_s:g} s" if held_s < hold_s else ""
         return _sentence(kept)
     cause = [one for one in broken if one.reason == reason or f"not_{one.name}" == reason]
-    told = [*cause, *(one for one in broken if one not in cause and _tells(one))][:MOST_EVENTS]
-    events = sorted((_event(one, one in cause) for one in told), key=lambda event: event[0])
+    selected = [*cause, *(one for one in broken if one not in cause and _adds_information(one))][:MOST_EVENTS]
+    events = sorted((_event(one, one in cause) for one in selected), key=lambda event: event[0])
     joint = ", then " if any(" at tick " in text for _, text in events) else ", "
     return _sentence(joint.join(text for _, text in events))
 
@@ -171,7 +171,7 @@ def _else(one: ConditionCourse) -> bool:
     return bool(one.reason) and not one.reason.startswith("not_")
 
 
-def _tells(one: ConditionCourse) -> bool:
+def _adds_information(one: ConditionCourse) -> bool:
     """Return whether a broken condition adds to the deciding one: how far the episode came, or another event."""
     return math.isfinite(one.least) or (_else(one) and bool(one.holds.any()))
 

@@ -167,12 +167,12 @@ def query_without_graph(service: str, msg: Any, library: ModelLibrary, robot: st
     Raises:
         InvalidRequestError: If the request names a scene that only a running graph has, or is malformed.
     """
-    asked = msg.request
-    if asked.scene.episode_id:
+    request = msg.request
+    if request.scene.episode_id:
         raise InvalidRequestError("a scene named by episode_id needs a running graph; give the objects in the request")
-    planner = Planner(library.robot(asked.robot or robot))
-    scene = scene_from_msg(asked.scene, None, library)
-    common = common_from_msg(asked, planner, scene, with_start=service != "retime_path")
+    planner = Planner(library.robot(request.robot or robot))
+    scene = scene_from_msg(request.scene, None, library)
+    common = common_from_msg(request, planner, scene, with_start=service != "retime_path")
     return MAKERS[service](common, msg), planner
 
 

@@ -191,8 +191,8 @@ class _BagCheck:
         if check is None or result is None:
             return
         info, found = check.info, self._reader.metadata
-        told = outcome_metadata(info, result, self._reader.received)
-        wanted = {"format_version": FORMAT_VERSION, "episode_id": info.episode_id, **told}
+        outcome = outcome_metadata(info, result, self._reader.received)
+        wanted = {"format_version": FORMAT_VERSION, "episode_id": info.episode_id, **outcome}
         if found.get(REPAIRED_KEY) == "true":
             wanted[REPAIRED_KEY] = "true"
         for key in sorted(wanted.keys() | found.keys()):

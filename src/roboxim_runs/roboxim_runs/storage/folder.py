@@ -99,16 +99,16 @@ class RunFolder:
                 raise ConfigError(f"{self.log.path} line {entry.line} is a result of another run; {REMEDY}")
 
     def _require_same_configuration(self, stored: Mapping[str, Any], config: Mapping[str, Any]) -> None:
-        there, asked = command_of(stored), command_of(config)
-        if there != asked:
+        stored_command, command = command_of(stored), command_of(config)
+        if stored_command != command:
             raise ConfigError(
-                f"{self.path} holds a run of 'roboxim {there}'; choose another output folder (--out or out=)"
+                f"{self.path} holds a run of 'roboxim {stored_command}'; choose another output folder (--out or out=)"
             )
         details = differences(stored, json.loads(json.dumps(dict(config))), ignore=MAY_DIFFER)
         if not details:
             return
         results = self.results()
-        if asked == "generate" and not any(result.outcome == "success" for result in results):
+        if command == "generate" and not any(result.outcome == "success" for result in results):
             todo = (
                 f"none of its {len(results)} episodes succeeded: remove it (rm -r {self.path}) or choose another "
                 "output folder (--out or out=)"

@@ -138,14 +138,14 @@ def tally(demands: Mapping[str, Demand], episodes: Iterable[Shown], *, without: 
             reasons[shown.not_compared] = None
         hidden += hidden_distractors(shown)
         distractors += len(shown.others)
-        asked = [name for name in names if name != WORDS or shown.received]
-        checked.update(asked)
+        applicable = [name for name in names if name != WORDS or shown.received]
+        checked.update(applicable)
         if shown.cell not in demands:
             faults.append(Fault(check="cell", bag=shown.bag, text=f"the evaluation has no cell '{shown.cell}'"))
             continue
         found = faults_of(demands[shown.cell], shown)
-        faults += [Fault(check=name, bag=shown.bag, text=text) for name, text in found.items() if name in asked]
-        counts.update(name for name in asked if name not in found)
+        faults += [Fault(check=name, bag=shown.bag, text=text) for name, text in found.items() if name in applicable]
+        counts.update(name for name in applicable if name not in found)
     silent = number - checked[WORDS] if WORDS in names else 0
     statements = []
     if silent:
@@ -197,7 +197,7 @@ def pairing(arms: Mapping[str, Sequence[Shown]], changed: Mapping[str, Collectio
     faults: list[Fault] = []
     met: Counter[str] = Counter()
     elsewhere: Counter[str] = Counter()
-    paired = asked = delivered = 0
+    paired = expected = delivered = 0
     for scene in dict.fromkeys(scene for name in plain for scene in scenes[name]):
         alike = {name: scenes[name][scene] for name in plain if scene in scenes[name]}
         others = {name: scenes[name][scene] for name in changes if scene in scenes[name]}
@@ -209,20 +209,20 @@ def pairing(arms: Mapping[str, Sequence[Shown]], changed: Mapping[str, Collectio
         right = next((name for name in alike if name not in odd), None)
         for name, shown in others.items():
             if right is None:
-                asked += changes[name].seen
+                expected += changes[name].seen
                 faults.append(Fault(check="pairing", bag=shown.bag, text=f"no majority of {_named(alike)} agrees"))
                 continue
             found = list(_changed_faults(changes[name], shown, alike[right], right))
             faults += found
             if changes[name].seen or shown_difference(changes[name], shown, alike[right]):
-                asked += 1
+                expected += 1
                 delivered += not any(fault.check == "changed" for fault in found)
             met[name] += 1
             elsewhere[name] += any(not far <= SAME_M for far in moved(shown, alike[right]).values())
     failed = sum(fault.check == "pairing" for fault in faults)
     checks = {"pairing": (paired - failed, paired)} if paired else {}
     return Tally(
-        checks=checks | ({"changed": (delivered, asked)} if asked else {}),
+        checks=checks | ({"changed": (delivered, expected)} if expected else {}),
         faults=tuple(faults),
         statements=tuple(
             f"{name}: in {number} of {met[name]} scenes of a replicate objects lie elsewhere than without its change"
