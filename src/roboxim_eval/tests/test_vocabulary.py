@@ -37,6 +37,7 @@ def named(name):
         ("camera_object", {"camera and target": NEW_COMBINATION}),
         ("camera_skill", {"task and camera": NEW_COMBINATION}),
         ("embodiment", {"task and arm": NEW_COMBINATION}),
+        ("length", {"first and length": NEW_COMBINATION}),
         ("camera_skill_objects", {"task and camera": NEW_COMBINATION}),
         (
             "triple",
@@ -62,6 +63,10 @@ def test_a_new_object_does_not_hide_a_new_combination():
     config = replace(config, unseen=({"task": "pick_up", "target": "cube"}, {"target": "knife"}))
     found = {one.what: one.names for one in vocabulary(config, cells_of(config))}
     assert (found["target"], found["task and target"]) == (NEW_OBJECT, NEW_PAIR)
+
+
+def test_the_number_of_steps_is_no_rewording():
+    assert named("length")["length"] == Names()
 
 
 def test_an_experiment_that_varies_nothing_has_no_table():

@@ -96,7 +96,7 @@ BY_KEY: tuple[tuple[str, Names], ...] = (
 """Part of a key's path to its names; the first one that is in the path counts."""
 WORDS = Names(star_gen="semantic: language rephrase", libero_plus="language instructions")
 NO_NAMES = Names()
-"""Variations that no other suite has: a policy without any instruction, and one whose answers arrive late."""
+"""Variations that no other suite has: no instruction, answers that arrive late, the number of a task's steps."""
 NEW_COMBINATION = Names(star_gen="combined: seen levels, not seen together")
 RANGE = {"values", "lower", "upper", "minimum", "maximum", "names"}
 """Keys of a range of values, below which no further names follow."""
@@ -178,4 +178,6 @@ def _noisy(view: Any) -> bool:
 
 def _names(paths: Iterable[str]) -> Names | None:
     paths = tuple(paths)
+    if "steps" in paths:
+        return NO_NAMES  # its sentence follows from its steps
     return next((names for part, names in BY_KEY if any(part in path for path in paths)), None)

@@ -139,6 +139,16 @@ def test_the_arms_of_embodiment_lack_one_skill_each_and_its_definitions_name_all
     assert {f"model {arm}" for arm in arms} <= definitions(design).keys()
 
 
+def test_the_cells_of_length_have_tasks_of_so_many_steps():
+    design = design_of(load_experiment("length"))
+    assert {key: sum(counts.values()) for key, counts in design.datasets.items()} == {"leave_out": 270, "baseline": 270}
+    assert {cell.levels["length"] for cell in design.cells if cell.unseen} == {"2", "3", "4"}
+    mix = task_mix(next(iter(mixes(design).values())))
+    lengths = {key: len(cell.steps) for key, cell in zip(mix.keys, mix.cells, strict=True)}
+    assert all(f"length={number}" in key for key, number in lengths.items())
+    assert set(lengths.values()) == {2, 3, 4}
+
+
 def test_the_axes_of_pick_cube_differ_in_training_and_bc_is_refused_there(tmp_path):
     design = design_of(load_experiment("pick_cube_axes"))
     stages = {stage.name: stage for stage in stages_of(design)}
