@@ -125,7 +125,7 @@ def command_reference() -> str:
     lines = ["# Commands", "", "The output of `--help` of every command, written when the site is built."]
 
     def add(command: click.Command, words: list[str]) -> None:
-        context = click.Context(command, info_name=" ".join(words), terminal_width=100)
+        context = click.Context(command, info_name=" ".join(words), terminal_width=90)
         lines.extend(["", f"## {' '.join(words)}", "", "```text", command.get_help(context), "```"])
         if isinstance(command, click.Group):
             for name in command.list_commands(context):
