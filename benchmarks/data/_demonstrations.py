@@ -16,7 +16,7 @@ QUICK = ("pick_up", "push_button")
 
 
 def demonstrations(
-    out: Path, episodes: int, *, skills: tuple[str, ...] = (), seed: int = 0, workers: int = 2
+    out: Path, episodes: int, *, skills: tuple[str, ...] = (), seed: int = 0, workers: int = 2, size: int = 0
 ) -> dict[str, Path]:
     """Demonstrate skills; the same call continues.
 
@@ -26,6 +26,7 @@ def demonstrations(
         skills: Skills; empty: all.
         seed: Seed of the first run; the next runs have the next seeds, so that every episode has an id of its own.
         workers: Processes.
+        size: Width and height of the images [pixels]; 0: as the task states.
 
     Returns:
         Skill to its run.
@@ -38,7 +39,13 @@ def demonstrations(
         count = each + (number < more)
         generate(
             GenerationConfig(
-                task=skill, out=runs[skill], episodes=count, seed=seed + number, workers=workers, first_try=True
+                task=skill,
+                out=runs[skill],
+                episodes=count,
+                seed=seed + number,
+                workers=workers,
+                first_try=True,
+                size=size,
             )
         )
     return runs
