@@ -17,7 +17,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
 from roboxim_core.specs import CameraSpec, LookSpec, SceneSpec
 from roboxim_core.vision.cameras import load_camera
-from roboxim_runs.episodes.rerendering import Lighting
+from roboxim_core.vision.looks import Lighting
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.camera_effects import draw_frames
 

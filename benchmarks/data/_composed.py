@@ -13,6 +13,7 @@ import numpy as np
 
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.whole_files import write_whole
 from roboxim_datasets.audit import AUDIT_CHECKS, AuditEpisode, Auditor
 from roboxim_datasets.audit.faults.composed import Composed, compose
 from roboxim_datasets.audit.faults.values import EditableEpisode
@@ -21,7 +22,6 @@ from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import open_dataset
 from roboxim_recorder.run_bags import list_bags
 from roboxim_runs.datasets.audit_expected import Expected, expected_of_bags
-from roboxim_runs.storage.results_log import write_atomically
 
 SHARE = 0.25
 """Share of the episodes of an audited copy that have a fault."""
@@ -74,7 +74,7 @@ def measure(dataset: Path, bags: Path, faults: int, seed: int, results: Path) ->
         stored = results / f"seed-{seed}-pass-{number}-most-{left}.json"
         if not stored.is_file():
             counted = _pass(opened, episodes, expected, left, np.random.default_rng([seed, number]))
-            write_atomically(stored, json.dumps(asdict(counted), indent=2) + "\n")
+            write_whole(stored, json.dumps(asdict(counted), indent=2) + "\n")
         counts.add(Counts(**json.loads(stored.read_text())))
         click.echo(f"pass {number}: {counts.planted['all']} of {faults} faults planted", err=True)
         number += 1

@@ -17,9 +17,9 @@ import click
 from benchmarks._harness import Bench
 from benchmarks.data._demonstrations import QUICK, demonstrations
 
+from roboxim_core.whole_files import write_whole
 from roboxim_recorder.run_bags import list_bags
 from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
-from roboxim_runs.storage.results_log import write_atomically
 
 
 def main() -> None:
@@ -66,7 +66,7 @@ def measure(skill: str, run: Path) -> tuple[dict[str, str | float], dict[str, li
         "unreadable": len(result.unreadable),
         "ms_per_episode": round(1e3 * seconds / max(result.episodes, 1)),
     }
-    write_atomically(stored, json.dumps({"row": row, "findings": findings}, indent=2) + "\n")
+    write_whole(stored, json.dumps({"row": row, "findings": findings}, indent=2) + "\n")
     return row, findings
 
 

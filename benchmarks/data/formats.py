@@ -16,13 +16,13 @@ from typing import Any
 from benchmarks._harness import Bench
 from benchmarks.data._demonstrations import QUICK, demonstrations
 
+from roboxim_core.whole_files import write_whole
 from roboxim_datasets.compare import compare, comparison_text
 from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_datasets.formats import open_dataset
 from roboxim_recorder.export import EXPORTERS
 from roboxim_runs.datasets.export import export_dataset
 from roboxim_runs.datasets.replay_gate import replay_dataset
-from roboxim_runs.storage.results_log import write_atomically
 
 REFERENCE = "HDF5"
 CASES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -83,7 +83,7 @@ def measure(name: str, runs: list[Path], out: Path, workers: int) -> dict[str, s
         "exact": sum(replay.executed is not None and replay.executed.exact for replay in replayed.episodes),
         "worst_tcp_error_mm": round(1e3 * error.get("max", 0.0), 4),
     }
-    write_atomically(stored, json.dumps({"identity": identity, "row": row}, indent=2) + "\n")
+    write_whole(stored, json.dumps({"identity": identity, "row": row}, indent=2) + "\n")
     return row
 
 

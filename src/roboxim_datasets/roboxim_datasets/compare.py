@@ -3,7 +3,7 @@
 Numbers are compared bit for bit as float32: actions, executed actions, observed vectors, signals, rewards. Images are
 compared exactly where both formats are lossless. Where a codec lies between, every image must reach a peak
 signal-to-noise ratio (PSNR). Episodes are compared by their place in their split, because their order is part of what a
-trainer sees.
+trainer sees. Depth and segmentation are compared too, depth between formats within the rounding of LeRobot's unit.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import EXECUTED, Episode, RGBImage, Step
+from roboxim_datasets.lerobot.layout import DEPTH_MOST, DEPTH_UNIT_M
 
 Images = Literal["auto", "exact", "psnr", "skip"]
 LOWEST_PSNR_DB = 30.0
@@ -139,6 +140,9 @@ class _Names:
     vectors: tuple[str, ...]
     signals: tuple[str, ...]
     cameras: tuple[str, ...]
+    depth: tuple[str, ...]
+    segmentation: tuple[str, ...]
+    depth_apart_m: float
     executed: bool
     subtasks: bool
 
@@ -156,6 +160,8 @@ def _common_names(a: Dataset, b: Dataset, ignore: Sequence[str], found: Comparis
     vectors = common("the vector", mine.vectors, theirs.vectors)
     signals = common("the signal", mine.signals, theirs.signals)
     cameras = common("the camera", mine.cameras, theirs.cameras) if with_images else ()
+    depth = common("depth of camera", mine.depth, theirs.depth) if with_images else ()
+    segmentation = common("segmentation of camera", mine.segmentation, theirs.segmentation) if with_images else ()
     for name in vectors:
         if len(mine.vectors[name]) != len(theirs.vectors[name]):
             found.add(f"vector '{name}': {len(mine.vectors[name])} components against {len(theirs.vectors[name])}")
@@ -178,6 +184,9 @@ def _common_names(a: Dataset, b: Dataset, ignore: Sequence[str], found: Comparis
         vectors=vectors,
         signals=tuple(name for name in signals if name != EXECUTED),
         cameras=tuple(c for c in cameras if mine.cameras[c] == theirs.cameras[c]),
+        depth=depth,
+        segmentation=segmentation,
+        depth_apart_m=0.0 if a.format == b.format else 0.51 * DEPTH_UNIT_M,
         executed=EXECUTED in signals,
         subtasks=mine.subtasks or theirs.subtasks,
     )
@@ -197,7 +206,8 @@ def _compare_episode(
     if a.episode_id != b.episode_id and a.episode_id and b.episode_id:
         return  # another episode: its numbers differ anyway
     reported: set[str] = set()
-    for one_step, other_step in zip(a.steps(names.cameras), b.steps(names.cameras), strict=False):
+    maps = {"depth": names.depth, "segmentation": names.segmentation}
+    for one_step, other_step in zip(a.steps(names.cameras, **maps), b.steps(names.cameras, **maps), strict=False):
         found.steps += 1
         spoken = [step.instruction or e.instruction for step, e in ((one_step, a), (other_step, b))]
         if spoken[0] != spoken[1] and "instruction" not in reported and a.instruction == b.instruction:
@@ -216,6 +226,34 @@ def _compare_episode(
             if problem and camera not in reported:
                 reported.add(camera)
                 found.add(f"camera '{camera}' from step {one_step.index}: {problem}", where)
+        for name, problem in _different_maps(one_step, other_step, names):
+            if name not in reported:
+                reported.add(name)
+                found.add(f"{name} from step {one_step.index}: {problem}", where)
+
+
+def _different_maps(a: Step, b: Step, names: _Names) -> Iterator[tuple[str, str]]:
+    """Yield depth and segmentation that differ, with what differs.
+
+    Between formats depth may differ by the rounding of LeRobot's unit, and what that format cannot hold (0, not
+    finite, beyond its range) is unknown in both.
+    """
+    for camera in names.depth:
+        one, other = np.asarray(a.depth[camera], np.float64), np.asarray(b.depth[camera], np.float64)
+        name = f"depth of camera '{camera}'"
+        if one.shape != other.shape:
+            yield name, f"shape {one.shape} against {other.shape}"
+            continue
+        known = [np.isfinite(rows) & (rows > 0) & (rows <= DEPTH_MOST * DEPTH_UNIT_M) for rows in (one, other)]
+        if not names.depth_apart_m and not np.array_equal(one, other, equal_nan=True):
+            yield name, f"{int((one != other).sum())} of {one.size} pixels differ"
+        elif not np.array_equal(*known):
+            yield name, f"{int((known[0] != known[1]).sum())} of {one.size} pixels are known in one alone"
+        elif (apart := np.abs(one[known[0]] - other[known[0]]).max(initial=0)) > names.depth_apart_m:
+            yield name, f"{1000 * apart:.3g} mm apart, expected at most {1000 * names.depth_apart_m:.3g}"
+    for camera in names.segmentation:
+        if not np.array_equal(a.segmentation[camera], b.segmentation[camera]):
+            yield f"segmentation of camera '{camera}'", "other bodies"
 
 
 def _outcome(episode: Episode) -> bool | str:

@@ -13,11 +13,13 @@ import pytest
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
+from roboxim_datasets.compare import compare
 from roboxim_datasets.dataset import Description, Features
 from roboxim_datasets.episode import EXECUTED, Episode, ImageSize, Step
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.lerobot import LeRobotFormat, LeRobotOptions, LeRobotWriter
 from roboxim_datasets.lerobot.content import content_of, layout_of
+from roboxim_datasets.rewrite import plan_of, write_dataset
 
 ACTION = ("dx", "dy", "gripper")
 FEATURES = Features(
@@ -277,3 +279,27 @@ def test_a_damaged_video_is_named(version_30, tmp_path):
     with pytest.raises(RecorderError, match="observation.images.top") as caught:
         list(open_dataset(path).episode(0).steps(["top"]))
     assert caught.value.code == ErrorCode.BAG_DAMAGED
+
+
+def test_depth_and_segmentation_are_compared_between_formats(tmp_path: Path) -> None:
+    write(tmp_path / "a", images=True)
+    a = open_dataset(tmp_path / "a")
+    b = open_dataset(write_dataset(plan_of(a), tmp_path / "b", "hdf5", None, how="convert").path)
+    assert compare(a, b).equal
+    real = b.read
+    changes = {
+        "depth of camera 'wrist' from step 0: 1 mm apart": lambda step: replace(
+            step, depth={camera: rows + np.float32(0.001) for camera, rows in step.depth.items()}
+        ),
+        "segmentation of camera 'wrist' from step 0: other bodies": lambda step: replace(
+            step, segmentation={camera: rows + 1 for camera, rows in step.segmentation.items()}
+        ),
+    }
+    for text, change in changes.items():
+
+        def edited(split: str, index: int, change=change) -> Episode:
+            episode = real(split, index)
+            return replace(episode, read=lambda wanted: map(change, episode.read(wanted)))
+
+        b.read = edited
+        assert text in str(compare(a, b).differences[0])

@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import codecs
 import json
+import os
 import re
+import stat
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
@@ -43,7 +45,9 @@ def read_text(path: Path | str, max_bytes: int = limits.YAML_BYTES) -> str:
     encoding = "UTF-8"
     try:
         with open(file, "rb") as stream:
-            content = stream.read(max_bytes + 1)
+            about = os.fstat(stream.fileno())  # read() takes memory for as much as it is asked for
+            most = min(max_bytes, max(about.st_size, 2**16)) if stat.S_ISREG(about.st_mode) else max_bytes
+            content = stream.read(most + 1)
         if len(content) > max_bytes:
             raise ConfigError(f"{file} is larger than {max_bytes} bytes")
         encoding = next((name for mark, name in _BYTE_ORDER_MARKS if content.startswith(mark)), encoding)

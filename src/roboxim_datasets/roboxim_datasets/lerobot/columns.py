@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from roboxim_datasets.episode import Floats
-from roboxim_datasets.files import file_in, reading
+from roboxim_datasets.files import reading
+from roboxim_datasets.lerobot.parquet_file import open_parquet
 from roboxim_datasets.lerobot.tables import damaged
 
 if TYPE_CHECKING:
@@ -70,10 +71,9 @@ def peek(folder: Path, name: str) -> dict[str, Any]:
         RecorderError: With code ``BAG_DAMAGED``, naming the file.
     """
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     with reading(folder / name):
-        file = pq.ParquetFile(file_in(folder, name))
+        file = open_parquet(folder, name)
         found: dict[str, Any] = {}
         for column in file.schema_arrow:
             found[column.name] = None

@@ -38,6 +38,7 @@ from roboxim_datasets.lerobot.layout import (
     TASKS,
     LeRobotNames,
 )
+from roboxim_datasets.lerobot.parquet_file import open_parquet
 from roboxim_datasets.lerobot.tables import Place, Rows, damaged
 from roboxim_datasets.pictures import MOST_PIXELS, colour_picture, deep_picture, head_of
 from roboxim_datasets.video.client import VideoDecoder
@@ -454,11 +455,9 @@ class LeRobotDataset(Dataset):
 
     def _rows(self, place: Place, columns: Sequence[str]) -> pa.Table:
         """Read the rows of an episode."""
-        import pyarrow.parquet as pq
-
         rows = self._rows_of(place.data_file).of(place)
         if self._file is None or self._file[0] != place.data_file:
-            self._file = (place.data_file, pq.ParquetFile(file_in(self.path, place.data_file)))
+            self._file = (place.data_file, open_parquet(self.path, place.data_file))
         file, begin, start = self._file[1], 0, 0
         lacking = [name for name in columns if name not in file.schema_arrow.names]
         if lacking:

@@ -21,6 +21,7 @@ from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, printable
 from roboxim_core.plain_data.documents import read_json_object, read_text
 from roboxim_datasets.files import file_in, files_below, has_file, reading
 from roboxim_datasets.lerobot.layout import SUBTASK_INDEX, table_of_texts
+from roboxim_datasets.lerobot.parquet_file import open_parquet
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -172,16 +173,15 @@ def episodes_30(folder: Path, info: Mapping[str, Any], videos: Sequence[str], fp
     Raises:
         RecorderError: With code ``BAG_DAMAGED``, naming the file.
     """
-    import pyarrow.parquet as pq
-
     parts = ("chunk_index", "file_index", "from_timestamp")
     wanted = ["episode_index", "length", "tasks", "data/chunk_index", "data/file_index"]
     wanted += [f"videos/{key}/{name}" for key in videos for name in parts]
     rows: list[dict[str, Any]] = []
     for file in files_below(folder, "meta/episodes/*/*.parquet"):
         with reading(file):
-            names = pq.read_schema(file).names
-            rows += pq.read_table(file, columns=[name for name in wanted if name in names]).to_pylist()
+            opened = open_parquet(folder, str(file.relative_to(folder)))
+            names = opened.schema_arrow.names
+            rows += opened.read(columns=[name for name in wanted if name in names]).to_pylist()
     found = Episodes()
     for row in rows:
         number = _count(row, "episode_index", "meta/episodes")
@@ -244,14 +244,12 @@ def texts_of(folder: Path, names: tuple[str, str], version: str) -> dict[int, st
     Raises:
         RecorderError: With code ``BAG_DAMAGED``, naming the file.
     """
-    import pyarrow.parquet as pq
-
     text, index, file = names[0], f"{names[0]}_index", table_of_texts(names, version)
     if not has_file(folder, file):
         return {}
     if version == "3.0":
         with reading(folder / file):
-            table = pq.read_table(file_in(folder, file))
+            table = open_parquet(folder, file).read()
             texts = next(name for name in (text, *table.column_names) if name in table.column_names and name != index)
             numbers = table.column(index).to_pylist()
             return {
@@ -266,10 +264,8 @@ def rows_of(folder: Path, name: str) -> Rows:
     Raises:
         RecorderError: With code ``BAG_DAMAGED``, naming the file.
     """
-    import pyarrow.parquet as pq
-
     with reading(folder / name):
-        file = pq.ParquetFile(file_in(folder, name))
+        file = open_parquet(folder, name)
         have = [key for key in INDICES if key in file.schema_arrow.names]
         table = file.read(columns=have)
         found = {key: _whole_numbers(table.column(key)) for key in have}
