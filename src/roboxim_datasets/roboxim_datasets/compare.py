@@ -247,7 +247,7 @@ def _different_maps(a: Step, b: Step, names: _Names) -> Iterator[tuple[str, str]
         known = [np.isfinite(rows) & (rows > 0) & (rows <= DEPTH_MOST * DEPTH_UNIT_M) for rows in (one, other)]
         if not names.depth_apart_m and not np.array_equal(one, other, equal_nan=True):
             yield name, f"{int((one != other).sum())} of {one.size} pixels differ"
-        elif not np.array_equal(*known):
+        elif not np.array_equal(known[0], known[1]):
             yield name, f"{int((known[0] != known[1]).sum())} of {one.size} pixels are known in one alone"
         elif (apart := np.abs(one[known[0]] - other[known[0]]).max(initial=0)) > names.depth_apart_m:
             yield name, f"{1000 * apart:.3g} mm apart, expected at most {1000 * names.depth_apart_m:.3g}"
