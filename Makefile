@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Container images often set this variable. Without compiled modules each process of a run starts a second later.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-thorough test-slow fuzz format lint types docs colcon verify-conventions verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals release lock clean clean-all
+.PHONY: help setup demo test test-thorough test-slow test-pythons test-lowest fuzz format lint types docs colcon verify-conventions verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals release lock clean clean-all
 
 help: ## list the commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
@@ -27,6 +27,12 @@ test-thorough: setup ## run the tests marked thorough, which CI runs after the d
 
 test-slow: setup ## run the tests marked slow
 	$(BIN)/pytest -m "slow and not gpu" $(ARGS)
+
+test-pythons: setup ## run the golden hashes and the smoke demo on the other Pythons, which uv installs; PYTHONS="3.12 3.13"
+	@$(BIN)/python scripts/try_pythons.py $(or $(PYTHONS),3.12 3.13)
+
+test-lowest: setup ## run the smoke demo with the lowest versions that the metadata allow; PYTHONS=3.11
+	@$(BIN)/python scripts/try_pythons.py $(or $(PYTHONS),3.11) --lowest
 
 fuzz: setup ## mutate files of every format 100 times each; ARGS="-k name" adds options
 	$(BIN)/pytest -n logical --maxprocesses 4 -m fuzz $(ARGS)

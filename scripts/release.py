@@ -76,23 +76,31 @@ def interpreter(version: str) -> str:
     raise SetupError(f"no Python {version} here; install one (uv python install {version}) or leave it out")
 
 
-def build_compiled(version: str) -> None:
-    """Build the compiled distributions for a Python, and give them the platform tag that package indexes accept."""
+def compiled_wheels(version: str) -> list[Path]:
+    """Return the wheels of the compiled distributions for a Python, built unless they are kept from before."""
     base = interpreter(version)
     environment = Environment(TOOLS / f"release-{version}-env", base)
     exact = subprocess.run([base, "-c", "import sys; print(sys.version)"], capture_output=True, text=True, check=True)
+    wheels = []
     for member in MEMBERS:
-        wheel = member.wheel(exact.stdout.strip())
+        folder = TOOLS / "release" / version / member.name / member.key(exact.stdout.strip())[:16]
+        wheel = member.wheel(exact.stdout.strip()) or next(folder.glob("*.whl"), None)
         if wheel is None:
             if not environment.has("packages", packages_key(LOCKS / "build.lock", base)):
                 environment.make(LOCKS / "build.lock")
-            folder = TOOLS / "release" / version / member.name / member.key(exact.stdout.strip())[:16]
             shutil.rmtree(folder, ignore_errors=True)
             scratch = TOOLS / "release" / version / f"build-{member.name}"
             command = (environment.python, *BUILD, "--wheel", f"--config-setting=build-dir={scratch}")
             run(f"release-{version}-{member.name}", *command, "--outdir", folder, member.folder)
             member.keep(folder)
             wheel = next(folder.glob("*.whl"))
+        wheels.append(wheel)
+    return wheels
+
+
+def build_compiled(version: str) -> None:
+    """Build the compiled distributions for a Python, and give them the platform tag that package indexes accept."""
+    for wheel in compiled_wheels(version):
         repair(wheel)
 
 
