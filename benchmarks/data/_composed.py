@@ -68,6 +68,7 @@ def measure(dataset: Path, bags: Path, faults: int, seed: int, results: Path) ->
     expected = expected_of_bags(opened, {bag.name: [bag] for bag in list_bags(bags)})
     assert isinstance(expected, Expected), expected
     episodes = list(opened.episodes())
+    results.mkdir(parents=True, exist_ok=True)
     counts, number = Counts(episodes=len(episodes)), 0
     while number == 0 or counts.planted["all"] < faults:
         left = faults - counts.planted["all"] if number else 0

@@ -28,6 +28,7 @@ from benchmarks.data._composed import measure as measure_composed
 from benchmarks.data._demonstrations import QUICK, demonstrations
 
 from roboxim_core.errors import InvalidRequestError
+from roboxim_recorder.export.hdf5 import Hdf5Config
 from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
 from roboxim_runs.datasets.corruption import FaultKind, corrupt, fault_kinds
 from roboxim_runs.datasets.export import ExportConfig, export_dataset
@@ -82,7 +83,7 @@ def composed(bench: Bench, out: Path) -> tuple[int, int]:
     runs = demonstrations(out / "bags", episodes, skills=skills, seed=seed, workers=options.workers, size=64)
     bags, dataset = gathered(list(runs.values()), out / "all", 0), out / "hdf5"
     if not dataset.is_dir():
-        export_dataset("hdf5", bags, dataset, ExportConfig(uneven=True))
+        export_dataset("hdf5", bags, dataset, Hdf5Config(uneven=True))
     counts = measure_composed(dataset, bags, 8 if bench.quick else options.composed, seed, out / "results")
     for what in counts.planted:
         bench.row(fault=f"composed, {what}", rate=SHARE, planted=counts.planted[what], found=counts.found[what])
