@@ -60,6 +60,12 @@ def look_of(scene: str) -> LookSpec:
     return load_config(named_config("scenes", scene), SceneSpec).look
 
 
+def furnished(scene: SceneSpec, name: str) -> SceneSpec:
+    """Return a scene with the look and the furniture of another one."""
+    other = load_config(named_config("scenes", name), SceneSpec)
+    return replace(scene, look=other.look, entities=(*scene.entities, *other.entities))
+
+
 def main() -> None:
     """Render and save."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -81,8 +87,8 @@ def main() -> None:
         tiles = list(zip(VIEWS, shoot(scene, [load_camera(name) for name in VIEWS]), strict=True))
         sheet([tiles[:4], tiles[4:]]).save(options.out / "camera_views.jpg", quality=85)
     if wanted("looks"):
-        camera = load_camera("workspace")
-        first = [(name, shoot(replace(scene, look=look_of(name)), [camera])[0]) for name in SCENES]
+        camera = replace(load_camera("whole"), width=384, height=384)
+        first = [(name, shoot(furnished(scene, name), [camera])[0]) for name in SCENES]
         second = []
         for name in LIGHTS:
             preset = load_config(named_config("lights", name), Lighting)

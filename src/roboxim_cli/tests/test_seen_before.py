@@ -52,7 +52,7 @@ def test_a_task_is_described_in_words():
 def test_a_scene_and_a_misspelt_name(tmp_path):
     picture, text = picture_of("kitchen", renderer="tiny")
     assert picture.size == (384, 384)
-    assert text == "scene kitchen: 0 objects"
+    assert text == "scene kitchen: 3 objects"
     with pytest.raises(ConfigError, match="did you mean 'kitchen'"):
         picture_of("kitchn", renderer="tiny")
 

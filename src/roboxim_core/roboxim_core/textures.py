@@ -30,7 +30,7 @@ SIZE = 512
 TEXTURES: Registry[Callable[[], Field]] = Registry("texture")
 """Name to a function that returns linear factors 0..1, shape (SIZE, SIZE) or (SIZE, SIZE, 3); first row at v = 0."""
 
-ROOM_TEXTURES = ("checker", "concrete", "fabric", "marble", "plaster", "speckle", "wood")
+ROOM_TEXTURES = ("checker", "concrete", "fabric", "marble", "oak", "plaster", "speckle", "tiles", "wood")
 """Names of the textures of tables, floors and walls, which the renderer registers."""
 
 

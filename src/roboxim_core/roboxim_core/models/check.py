@@ -34,6 +34,8 @@ MANY_TRIANGLES = 5000
 """Number of triangles above which rendering without a GPU becomes slow."""
 FAR_M = 0.01
 """Largest distance between the visual and the collision surface, at 98 of 100 sampled points [m]."""
+FIXTURE_KG = 10.0
+"""Mass from which an object is a fixture of a scene, which nothing picks up [kg]."""
 SAMPLES = 3000
 TOUCHING_M = 0.002
 """Gap below which two collision shapes count as touching [m]."""
@@ -274,7 +276,8 @@ def _textures(model: ObjectModel) -> list[Finding]:
 
 def _grasps(model: ObjectModel, points: Array, max_opening_m: float) -> list[Finding]:
     grasps = [*model.grasps, *(grasp for handle in model.handles for grasp in handle.grasps)]
-    if not grasps and not {"support", "pressable"} & set(model.affordances):
+    fixture = sum(link.mass for link in model.links) >= FIXTURE_KG
+    if not grasps and not fixture and not {"support", "pressable"} & set(model.affordances):
         return [_warning("no grasps: nothing can pick it up; give it `grasps` and the affordance graspable")]
     if model.grasps and "graspable" not in model.affordances:
         return [_warning("has grasps but not the affordance graspable: no task will pick it up")]

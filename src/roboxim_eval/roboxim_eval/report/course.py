@@ -27,8 +27,11 @@ PHRASES = {
 }  # fmt: skip
 """Measure to a sentence's words for its largest value; for others: "<name> reached"."""
 WORDS = {"pressing_links": "fingers pressing it", "table_force_n": "force on the table",
-         "sideways_share": "offset in units of the opening"}  # fmt: skip
+         "sideways_share": "distance from the container's middle (1: its edge)",
+         "surface_share": "distance from the support's middle (1: its edge)"}  # fmt: skip
 """Measure to its name for people, where the name itself does not say it."""
+MISSING = {"support_force_n": "nothing rested on its support"}
+"""Measure to how a sentence says that it stayed 0 where anything more would have done; others "stayed 0"."""
 NOTHING = 0.02
 """Share of a bound below which a value is shown as 0."""
 TINY = 1e-6
@@ -71,6 +74,8 @@ class ConditionCourse:
     @property
     def limit_text(self) -> str:
         """The bounds in words, e.g. ``at least 5 cm``."""
+        if 0 < self.least < TINY and not math.isfinite(self.most):
+            return f"more than {shown(self.measure, 0.0)}"
         ends = [
             f"{word} {shown(self.measure, value)}"
             for word, value in (("at least", self.least), ("at most", self.most))
@@ -185,6 +190,8 @@ def _event(one: ConditionCourse, cause: bool) -> tuple[int, str]:
     best = one.peak_at
     if not math.isfinite(one.least):
         return best, f"{one.words} was never below {_of_limit(one, best)}"
+    if 0 < one.least < TINY and one.values[best] < one.least:
+        return best, MISSING.get(one.measure, f"{one.words} stayed 0")
     text = PHRASES.get(one.measure, f"{one.words} reached {{}}").format(_of_limit(one, best))
     first = one.values[int(np.argmax(np.isfinite(one.values)))]  # a step's conditions are judged from its turn on
     return best, text if abs(one.values[best] - first) <= NOTHING * abs(one.bound) else f"{text} at tick {best}"

@@ -131,7 +131,7 @@
     const tr = made("tr", "", "row"), mine = group.filter((e) => wanted.every((one) => one.has(e)));
     tr.tabIndex = 0;
     for (const column of columns) {
-      if (!("arm" in column)) { tr.append(made("td", String(column.of(group)))); continue; }
+      if (!("arm" in column)) { tr.append(made("td", String(column.of(group)), column.name)); continue; }
       const episode = column.arm ? group.find((e) => e.arm === column.arm) : group[0];
       tr.append(outcome(episode, episode && !mine.includes(episode) ? "other" : ""));
     }
@@ -162,7 +162,7 @@
   const head = () => {
     const tr = made("tr");
     columns.forEach((column, place) => {
-      const th = made("th"), button = made("button", column.name);
+      const th = made("th", "", column.arm === undefined ? column.name : ""), button = made("button", column.name);
       button.type = "button";
       if (order.column === place) th.ariaSort = order.down ? "descending" : "ascending";
       button.addEventListener("click", () => { order = { column: place, down: order.column === place && !order.down }; table(); });

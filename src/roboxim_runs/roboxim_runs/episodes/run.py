@@ -135,7 +135,8 @@ class EpisodesConfig:
         if self.suite:
             version = load_yaml(named_config("suites", self.suite)).get("version", 0)
             return f"suite {Path(self.suite).stem}, version {version}"
-        return Path(self.task).stem or self.skill.rpartition("/")[2] or DEFAULT_TASK
+        skills = [word.strip().rpartition("/")[2] for word in self.skill.split(",")]
+        return Path(self.task).stem or ", ".join(skills) or DEFAULT_TASK
 
     def task_text(self) -> str:
         """Return the task configuration as YAML text.
