@@ -3,7 +3,7 @@
 A cell's name in a bag is a claim. An episode belongs to its cell only if the states and pictures of tick 0 meet the
 demands of the cell's task, and if the policy received the instruction that the condition demands. A NaN is a fault:
 comparisons are written such that it fails them, e.g. ``not far <= CAMERA_M``. The values here are plain;
-`roboxim_runs.experiments.delivery.demands` reads them from task configurations, `delivery_reader` from bags.
+`roboxim_runs.experiments.delivery.demands` reads them from task configurations, `reader` beside it from bags.
 """
 
 from __future__ import annotations
