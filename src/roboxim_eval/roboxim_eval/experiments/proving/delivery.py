@@ -160,6 +160,8 @@ class Demand:
     """Model of a distractor to the modifiers that it must have, with their values."""
     always: tuple[str, ...] = ()
     """Models of distractors that every scene has, without modifiers."""
+    furniture: dict[str, str] = field(default_factory=dict)
+    """Entity of the scene that tasks are drawn in to its model. It is no distractor."""
     areas: dict[str, tuple[Allowed, ...]] = field(default_factory=dict)
     """Role to areas, one of which the object lies in, x and y in the robot's base [m]."""
     start: Allowed | None = None
@@ -311,11 +313,12 @@ def _physics(demand: Demand, shown: Shown) -> Iterator[str]:
 
 def _distractors(demand: Demand, shown: Shown) -> Iterator[str]:
     least, most = demand.distractors
-    if not least <= len(shown.others) <= most:
+    lying = {name: model for name, model in shown.others.items() if demand.furniture.get(name) != model}
+    if not least <= len(lying) <= most:
         expected = f"{least}" if least == most else f"{least} to {most}"
-        yield f"{len(shown.others)} distractors lie on the table, {expected} expected"
+        yield f"{len(lying)} distractors lie on the table, {expected} expected"
     missing = list(demand.always)
-    for name, model in shown.others.items():
+    for name, model in lying.items():
         modifiers = shown.other_modifiers.get(name, {})
         if model in missing and not modifiers.keys() & demand.others.get(model, {}).keys():
             missing.remove(model)
@@ -328,7 +331,7 @@ def _distractors(demand: Demand, shown: Shown) -> Iterator[str]:
                     yield f"{kind} of {name} is {_text(modifiers.get(kind, ''))}, the cell demands {allowed}"
     for model in missing:
         yield f"no distractor is a {model}, which every scene has"
-    yield from _looks(shown, list(shown.others), least=0)  # see `hidden_distractors`
+    yield from _looks(shown, list(lying), least=0)  # see `hidden_distractors`
 
 
 def _area(demand: Demand, shown: Shown) -> Iterator[str]:

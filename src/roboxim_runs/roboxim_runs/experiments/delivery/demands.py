@@ -82,6 +82,7 @@ def demand_of(config: TaskConfig, *, words: str | None = None, latency_ticks: in
         distractors=(config.distractors.minimum, config.distractors.maximum),
         others=_others(config, physics.distractors if physics else BodyConfig()),
         always=config.distractors.always,
+        furniture={entity.name: entity.model for entity in scene.entities},
         areas=areas,
         start=_allowed(robot.position) if robot is not None and robot.joints is None else None,
         cameras={} if cameras is None else {name: _views(cameras, name) for name in cameras.names},
