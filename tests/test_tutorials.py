@@ -18,7 +18,7 @@ PAGES = sorted(FOLDER.glob("*.md"))
 MAX_LINES = 120
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_block_runs(page: Path, tmp_path: Path) -> None:
     (tmp_path / "reader").mkdir()
