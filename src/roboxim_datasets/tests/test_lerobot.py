@@ -128,6 +128,15 @@ def test_episodes_come_back_as_they_were_written(version, request):
     require_same(request.getfixturevalue(version))
 
 
+@pytest.mark.parametrize("version", ["version_30", "version_21"])
+def test_a_folder_is_read_by_its_relative_path_and_through_a_link(version, request, tmp_path, monkeypatch):
+    folder = request.getfixturevalue(version)
+    monkeypatch.chdir(folder.parent)
+    require_same(Path(folder.name))
+    (tmp_path / "link").symlink_to(folder)
+    require_same(tmp_path / "link")
+
+
 @pytest.mark.parametrize("sizes", [1, 4000])
 def test_a_dataset_of_many_files_is_the_same(tmp_path, sizes):
     path = write(tmp_path / "set", sizes=sizes)

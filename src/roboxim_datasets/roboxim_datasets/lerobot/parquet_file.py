@@ -22,12 +22,12 @@ MOST_TIMES = 1100
 _VALUE_BYTES = 8
 
 
-def open_parquet(folder: Path, name: str) -> pq.ParquetFile:
+def open_parquet(folder: Path, name: Path | str) -> pq.ParquetFile:
     """Open a Parquet file of a dataset.
 
     Args:
         folder: The dataset's folder.
-        name: The file in it.
+        name: Path relative to it; an absolute one must lie in it.
 
     Raises:
         RecorderError: With code ``BAG_DAMAGED`` when it lies elsewhere or holds more than its size allows.

@@ -179,7 +179,7 @@ def episodes_30(folder: Path, info: Mapping[str, Any], videos: Sequence[str], fp
     rows: list[dict[str, Any]] = []
     for file in files_below(folder, "meta/episodes/*/*.parquet"):
         with reading(file):
-            opened = open_parquet(folder, str(file.relative_to(folder)))
+            opened = open_parquet(folder, file)
             names = opened.schema_arrow.names
             rows += opened.read(columns=[name for name in wanted if name in names]).to_pylist()
     found = Episodes()
