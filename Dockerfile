@@ -1,4 +1,6 @@
 # RoboXim's wheels on Debian's Python: docker build --tag roboxim . && docker run --rm roboxim demo --smoke
+# hadolint global ignore=DL3008
+# DL3008 asks for pinned versions of Debian's packages, which Debian deletes with its next update.
 FROM python:3.12-slim-bookworm AS build
 RUN apt-get update \
     && apt-get install -y --no-install-recommends build-essential git make \
@@ -13,10 +15,10 @@ FROM python:3.12-slim-bookworm
 RUN apt-get update \
     && apt-get install -y --no-install-recommends libegl1 libgl1-mesa-dri \
     && rm -rf /var/lib/apt/lists/* \
-    && useradd --create-home roboxim
+    && useradd --create-home --uid 1000 roboxim
 RUN --mount=type=bind,from=build,source=/src/dist,target=/dist \
     pip install --no-cache-dir --find-links /dist --constraint /dist/constraints.txt "roboxim[assets,learn,lerobot,studio,vla-eval]"
-USER roboxim
+USER 1000
 WORKDIR /home/roboxim
 ENTRYPOINT ["roboxim"]
 CMD ["--help"]

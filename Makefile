@@ -44,6 +44,7 @@ format: setup ## format the code and fix what ruff can fix
 lint: setup ## check style and format without changing files
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+	$(BIN)/hadolint Dockerfile
 
 types: setup ## type-check every package strictly
 	$(BIN)/mypy
