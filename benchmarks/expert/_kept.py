@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_core.config import config_dirs
-from roboxim_runs.storage.results_log import ResultsLog
+from roboxim_core.plain_data.results_log import ResultsLog
 
 PACKAGES = ("core", "sim", "planner", "planner_native", "tasks", "eval", "ros", "bringup", "runs")
 SUFFIXES = (".py", ".so", ".yaml", ".urdf", ".srdf", ".obj", ".stl", ".glb")

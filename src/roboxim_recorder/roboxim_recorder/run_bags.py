@@ -8,7 +8,7 @@ from pathlib import Path
 from roboxim_core.config import from_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RecorderError
-from roboxim_core.plain_data.documents import parse_json
+from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_recorder.bag_writer import PLACES
 
 RESULTS_FILE = "results.jsonl"
@@ -83,20 +83,9 @@ def read_results(run: Path) -> list[EpisodeResult]:
     Raises:
         ConfigError: When a line is not readable.
     """
-    path = run / RESULTS_FILE
-    if not path.is_file():
-        return []
-    try:
-        lines = path.read_text().split("\n")[:-1]
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} cannot be read: {error}") from None
-    found = {}
-    for number, line in enumerate(lines, start=1):
-        source = f"{path} line {number}"
-        data = parse_json(line, source=source)
-        if isinstance(data, dict):
-            data.pop("key", None)  # the hash of everything that the result depends on
-        result = from_plain(data, EpisodeResult, source=source)
+    log, found = ResultsLog(run / RESULTS_FILE), {}
+    for entry in log.read():
+        result = from_plain(entry.data, EpisodeResult, source=f"{log.path} line {entry.line}")
         found[result.episode] = result
     return [result for result in found.values() if result.played]
 

@@ -96,7 +96,7 @@ def test_a_torn_last_line_is_left_out_and_a_damaged_one_is_named(run):
     with pytest.raises(ConfigError, match=r"results.jsonl line 1"):
         run_bags(run)
     path.write_bytes(b"\xff\n")
-    with pytest.raises(ConfigError, match=r"results.jsonl cannot be read"):
+    with pytest.raises(ConfigError, match=r"results.jsonl line 1 is not a result"):
         run_bags(run)
 
 

@@ -87,13 +87,13 @@ def planted_folder(out: Path, rates: Mapping[str, float], text: str = PLANTED_EX
     """
     from roboxim_core.config import to_plain
     from roboxim_core.episode import EpisodeResult
+    from roboxim_core.plain_data.results_log import ResultsLog
     from roboxim_eval.experiments import stages_of
     from roboxim_eval.testing import experiment_of
     from roboxim_runs.experiments.card import evaluation_folder
     from roboxim_runs.experiments.files import checked_design
     from roboxim_runs.experiments.report import ExperimentFolder
     from roboxim_runs.storage.folder import RunFolder
-    from roboxim_runs.storage.results_log import ResultsLog
     from roboxim_tasks.config import task_mix
 
     config = experiment_of(text)

@@ -12,13 +12,17 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from roboxim_core.config import from_plain, to_plain
+from roboxim_core.config import digest, from_plain, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
-from roboxim_core.errors import ConfigError, TaskError
-from roboxim_runs.storage.results_log import ResultsLog
+from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, TaskError
+from roboxim_core.plain_data.differences import differences
+from roboxim_core.plain_data.results_log import ResultsLog
 
 FACTS_FILE = "facts.jsonl"
+NOT_IN_BAGS = ("wall_s", "inference_s", "bag")
+"""Fields of a result that its bag does not have."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +44,8 @@ class EpisodeFacts:
     """Base of the robot, x and y [m]."""
     table: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """Centre of the table's top, and its extent: x, y, along x, along y [m]."""
+    ended: str = ""
+    """Hash of the result in the bag, see `ended`; empty: stored by an earlier version."""
 
 
 def episode_facts(
@@ -54,7 +60,7 @@ def episode_facts(
 
     Raises:
         ConfigError: When the stored facts are damaged.
-        RecorderError: With code ``BAG_DAMAGED`` when a bag is not whole.
+        RecorderError: With code ``BAG_DAMAGED`` when a bag is not whole, or ended otherwise than its result says.
     """
     log = ResultsLog(folder / FACTS_FILE)
     found = {entry.key: from_plain(entry.data, EpisodeFacts, source=str(log.path)) for entry in log.read()}
@@ -64,7 +70,34 @@ def episode_facts(
         if not known and result.bag and (bags / result.bag).exists():
             found[result.episode_id] = _facts(bags / result.bag)
             log.append(result.episode_id, to_plain(found[result.episode_id]))
+        facts = found.get(result.episode_id)
+        if facts and facts.ended not in ("", ended(result)):
+            raise RecorderError(
+                f"the result of episode {result.episode_id} in {folder} differs from its bag's {result.bag} "
+                f"({_difference(bags / result.bag, result)}): the result, the bag or {FACTS_FILE} was changed; restore "
+                "it, or run again with --repair or repair=True after removing the bag, which repeats the episode",
+                ErrorCode.BAG_DAMAGED,
+            )
     return found
+
+
+def ended(result: EpisodeResult) -> str:
+    """Return the hash of how an episode ended; without times and the bag's path, which the bag itself does not have."""
+    return digest(_lasting(result))
+
+
+def _lasting(result: EpisodeResult) -> dict[str, Any]:
+    return {name: value for name, value in to_plain(result).items() if name not in NOT_IN_BAGS}
+
+
+def _difference(bag: Path, result: EpisodeResult) -> str:
+    """Return in words where a result and its bag differ."""
+    from roboxim_recorder.bag import BagReader
+
+    if not bag.exists():
+        return "the bag is gone, its facts were stored"
+    stored = _lasting(BagReader(bag).result)
+    return differences(stored, _lasting(result), words=("in the bag", "in the results")) or "the stored facts"
 
 
 def _facts(bag: Path) -> EpisodeFacts:
@@ -80,6 +113,7 @@ def _facts(bag: Path) -> EpisodeFacts:
     return EpisodeFacts(
         episode_id=info.episode_id, drawn=dict(info.task.drawn), start=_start(info), told=told, scene=scene_hash(info),
         robot=(float(x), float(y)), table=(table.center[0], table.center[1], table.size[0], table.size[1]),
+        ended=ended(reader.result),
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from roboxim_core.errors import ConfigError
 from roboxim_eval.film_options import FilmOptions
-from roboxim_runs.evaluation.report import REPORT_FILE, listed, stored_record
+from roboxim_runs.evaluation.report import REPORT_FILE, doubts_about, listed, stored_record
 from roboxim_runs.evaluation.results import PolicyResult
 from roboxim_runs.evaluation.shown import shown_runs
 from roboxim_runs.storage.folder import RunFolder
@@ -24,7 +24,7 @@ def compare_evaluations(folders: Sequence[Path], out: Path, *, film: FilmOptions
         film: Which films are shown; none: those of the first evaluation.
 
     Returns:
-        The page, and the comparison in words.
+        The page, and the comparison in words, after what keeps the results from being relied upon.
 
     Raises:
         ConfigError: When a folder is no evaluation, is given twice, or is the output.
@@ -39,6 +39,7 @@ def compare_evaluations(folders: Sequence[Path], out: Path, *, film: FilmOptions
     records = {name: stored_record(folder) for name, folder in zip(_names(folders), folders, strict=True)}
     found: dict[str, PolicyResult] = {}
     trained: set[str] = set()
+    warnings: list[str] = []
     for policy in dict.fromkeys(policy for record in records.values() for policy in record.policies):
         having = [
             (name, folder) for name, folder in zip(records, folders, strict=True) if policy in records[name].policies
@@ -47,6 +48,7 @@ def compare_evaluations(folders: Sequence[Path], out: Path, *, film: FilmOptions
             shown = f"{name}: {policy}" if len(having) > 1 else policy
             results = tuple(RunFolder(folder / policy).results())
             found[shown] = PolicyResult(name=shown, results=results, folder=folder / policy)
+            warnings += doubts_about(records[name], found[shown])
             trained |= {shown} if records[name].is_trained(policy) else set()
     facts: dict[str, str] = {}
     for (name, record), folder in zip(records.items(), folders, strict=True):
@@ -56,16 +58,18 @@ def compare_evaluations(folders: Sequence[Path], out: Path, *, film: FilmOptions
     runs, place = shown_runs(found, out, film=film, trained=trained, by_scene=True)
     shared = set.intersection(*({run.scene(result) for result in run.results} for run in runs))
     episodes = max(len(run.results) for run in runs)
-    warnings = [] if len(shared) == episodes else [
-        f"{len(shared)} of {episodes} scenes were met by all policies. Rates are over all episodes of each; "
-        "comparisons are over the scenes that both met."
-    ]  # fmt: skip
+    doubts = tuple(warnings)
+    if len(shared) < episodes:
+        warnings.append(
+            f"{len(shared)} of {episodes} scenes were met by all policies. Rates are over all episodes of each; "
+            "comparisons are over the scenes that both met."
+        )
     report = Report(
         title=f"{listed(records)} side by side", runs=runs, facts=facts, versions={}, place=place, warnings=warnings,
         command=f"roboxim report {' '.join(map(str, folders))} --out {out}",
     )  # fmt: skip
     write_report(report, out)
-    return out / REPORT_FILE, verdict_line(runs)
+    return out / REPORT_FILE, "\n".join(filter(None, (*doubts, verdict_line(runs))))
 
 
 def _names(folders: Sequence[Path]) -> list[str]:

@@ -138,6 +138,7 @@ def write_evaluation(
     """
     from roboxim_eval.report import PolicyRun, verdict_line
 
+    doubts = [text for result in found.values() for text in doubts_about(record, result)]
     write_whole(out / RECORD_FILE, json.dumps(to_plain(record), indent=2) + "\n")
     infos = {name: info for name, result in found.items() if (info := _first_info(result)) is not None}
     runs = [
@@ -145,14 +146,20 @@ def write_evaluation(
         for name, result in found.items()
     ]
     return EvaluationResult(
-        policies=dict(found), report=_page(record, found, infos, out) if page else None,
+        policies=dict(found), report=_page(record, found, infos, doubts, out) if page else None,
         comparison=verdict_line(runs, undecided=record.undecided),
-        privileged=tuple(n for n, info in infos.items() if info.actor_privileged),
+        privileged=tuple(n for n, info in infos.items() if info.actor_privileged), doubts=tuple(doubts),
     )  # fmt: skip
 
 
+def doubts_about(record: EvaluationRecord, result: PolicyResult) -> list[str]:
+    """Return what keeps a policy's results from being relied upon; a run that was stopped early is whole."""
+    return [] if record.stopped else RunFolder(result.folder).doubts()
+
+
 def _page(
-    record: EvaluationRecord, found: Mapping[str, PolicyResult], infos: Mapping[str, EpisodeInfo], out: Path
+    record: EvaluationRecord, found: Mapping[str, PolicyResult], infos: Mapping[str, EpisodeInfo],
+    doubts: Sequence[str], out: Path,
 ) -> Path:  # fmt: skip
     """Write the page and return its file."""
     from roboxim_eval.report import Report, write_report
@@ -180,7 +187,7 @@ def _page(
     report = Report(
         title=f"Evaluation of {listed(found)} on {record.task}", runs=runs, facts=facts, versions=versions,
         command=record.command, stopped=record.stopped, undecided=record.undecided, 
-        place=place, warnings=record.warnings,
+        place=place, warnings=(*record.warnings, *doubts),
     )  # fmt: skip
     return write_report(report, out)
 

@@ -94,12 +94,14 @@ class EvaluationResult:
     """Comparison of the first policy with the others, in words; empty for one policy."""
     privileged: tuple[str, ...]
     """Policies that received the task, scene and state, which a policy under test must not see."""
+    doubts: tuple[str, ...] = ()
+    """What keeps the results from being relied upon, a sentence each: missing results, and lines without a checksum."""
 
     def __repr__(self) -> str:
         """Return the rates, in words."""
         lines = [f"{name}: {rate_line(policy.results)}" for name, policy in self.policies.items()]
-        more = [str(line) for line in (self.comparison, f"report: {self.report}" if self.report else "") if line]
-        return "\n".join([*lines, *self.by_skill, *more])
+        more = (*self.doubts, self.comparison, f"report: {self.report}" if self.report else "")
+        return "\n".join([*lines, *self.by_skill, *filter(None, more)])
 
     def __getitem__(self, name: str) -> PolicyResult:
         """Return a policy's result.

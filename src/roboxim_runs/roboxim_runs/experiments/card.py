@@ -17,6 +17,7 @@ from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json
+from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_core.seeds import CELL, CELL_NUMBER
 from roboxim_eval.experiments import Design, Stage, chosen, stages_of
 from roboxim_eval.experiments.card import (
@@ -36,7 +37,6 @@ from roboxim_runs.experiments.delivery.demands import task_mix_of
 from roboxim_runs.experiments.files import trainer_name
 from roboxim_runs.experiments.provenance import Attestations, Origin, device, origin_statements
 from roboxim_runs.storage.folder import RunFolder
-from roboxim_runs.storage.results_log import ResultsLog
 from roboxim_tasks.config import TaskMix
 
 CARD_FILE = "card.json"

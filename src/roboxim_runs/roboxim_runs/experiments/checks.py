@@ -10,6 +10,7 @@ from roboxim_core.config import to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.documents import read_json
+from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_eval.experiments import ExperimentConfig, Stage
 from roboxim_runs.executors.protocol import as_json
 from roboxim_runs.experiments.card import CARD_FILE, DRAWING, STAGES_FILE
@@ -17,7 +18,6 @@ from roboxim_runs.experiments.definitions import changed_definitions, changed_po
 from roboxim_runs.experiments.provenance import Origin
 from roboxim_runs.experiments.report import STATE_FILE
 from roboxim_runs.policies.specs import PolicySpec
-from roboxim_runs.storage.results_log import ResultsLog
 
 DECIDING = ("replicates", "compare", "decide")
 """Keys of an experiment on which verdicts depend, but no stage."""

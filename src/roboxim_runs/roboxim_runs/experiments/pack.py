@@ -24,6 +24,7 @@ from pathlib import Path, PurePosixPath
 from roboxim_core import limits
 from roboxim_core.errors import ConfigError, ErrorCode, RoboximError
 from roboxim_core.plain_data.documents import parse_json
+from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_eval.experiments import stages_of
 from roboxim_policies.learning.checkpoint_file import checkpoint_file, read_description
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
@@ -31,7 +32,6 @@ from roboxim_runs.experiments.card import STAGES_FILE
 from roboxim_runs.experiments.report import STATE_FILE as EXPERIMENT_FILE
 from roboxim_runs.experiments.report import ExperimentFolder
 from roboxim_runs.storage.folder import make_folder
-from roboxim_runs.storage.results_log import ResultsLog
 from roboxim_runs.storage.store import file_sha256
 
 BENCHMARK_FILE = "benchmark.json"

@@ -24,6 +24,7 @@ from roboxim_core.config import digest, to_plain
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.documents import read_json_object
+from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_core.shards import Shard
 from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Design, Stage, stages_of
@@ -79,7 +80,6 @@ from roboxim_runs.experiments.trained.policies import (
 from roboxim_runs.experiments.trained.servers import require_reachable
 from roboxim_runs.policies.specs import PolicySpec
 from roboxim_runs.storage.folder import checked_path, make_folder
-from roboxim_runs.storage.results_log import ResultsLog
 from roboxim_runs.training.commands import Trained, train, train_on
 
 SHARDED = ("generate", "evaluate")

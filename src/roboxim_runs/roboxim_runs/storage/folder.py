@@ -19,10 +19,11 @@ from roboxim_core.config import digest, from_plain, to_plain
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, RoboximError
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.documents import read_json_object
+from roboxim_core.plain_data.results_log import REMEDY, LoggedResult, ResultsLog
+from roboxim_core.shards import Shard
 from roboxim_core.user_folders import expanded
 from roboxim_core.whole_files import write_whole
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
-from roboxim_runs.storage.results_log import REMEDY, LoggedResult, ResultsLog
 from roboxim_runs.storage.store import stored_bags
 
 if TYPE_CHECKING:
@@ -158,13 +159,41 @@ class RunFolder:
         Episodes that their policy did not play (`EpisodeResult.played`) are also skipped; the same run repeats them.
 
         Raises:
-            ConfigError: When any other line is not a result; the message names the line.
+            ConfigError: When any other line is not a result, was changed or is of another run; the message names the
+                line.
         """
-        found = {}
+        found, key = {}, ""
         for entry in self.log.read():
+            key = key or entry.key
+            if entry.key not in ("", key):
+                raise ConfigError(f"{self.log.path} line {entry.line} is a result of another run; {REMEDY}")
             result = self._parsed(entry)
             found[result.index, result.episode] = result
         return [found[place] for place in sorted(found) if found[place].played]
+
+    def doubts(self) -> list[str]:
+        """Return what keeps the results from being relied upon, a sentence each: lost and unchecked lines.
+
+        Raises:
+            ConfigError: When a line is not a result, or the configuration is damaged.
+        """
+        found = []
+        unchecked = sum(not entry.checked for entry in self.log.read())
+        if unchecked:
+            found.append(
+                f"{unchecked} lines of {self.log.path} cannot be checked: an earlier version wrote them without a "
+                "checksum, so an edit by hand would not be noticed."
+            )
+        config = self.config() if (self.path / RUN_FILE).exists() else {}
+        there = {result.index for result in self.results()}
+        wanted = Shard.parse(config.get("shard", "")).indices(int(config.get("episodes", 0)))
+        if lost := [index for index in wanted if index not in there]:
+            names = ", ".join(map(str, lost[:5])) + (", ..." if len(lost) > 5 else "")
+            found.append(
+                f"{len(lost)} of {len(wanted)} episodes have no result in {self.log.path} (index {names}): the run is "
+                "not finished, or lines were removed."
+            )
+        return found
 
     def _parsed(self, entry: LoggedResult) -> EpisodeResult:
         try:

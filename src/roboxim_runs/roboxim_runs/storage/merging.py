@@ -22,6 +22,7 @@ from roboxim_core.config import from_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_core.plain_data.differences import differences
+from roboxim_core.plain_data.results_log import line_of
 from roboxim_core.whole_files import write_whole
 from roboxim_recorder.bag_writer import PLACES, disk_errors
 from roboxim_runs.episodes.generation import write_first_demonstrations
@@ -37,7 +38,6 @@ from roboxim_runs.storage.folder import (
     locked,
     run_key,
 )
-from roboxim_runs.storage.results_log import KEY
 from roboxim_runs.storage.store import RunUpload, file_sha256, note_stored, stored_bags
 
 DEEPEST = 3
@@ -193,7 +193,7 @@ class _Episode:
     @property
     def lasting(self) -> dict[str, Any]:
         """Fields of the result that are equal on every machine."""
-        return {name: value for name, value in self.line.items() if name not in (*CLOCKED, KEY)}
+        return {name: value for name, value in self.line.items() if name not in CLOCKED}
 
     stored: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Bags of the folder that are in its store, with the facts of their files."""
@@ -316,10 +316,7 @@ class _Merge:
                 uploaded = uploads[episode.run.path].get(episode.result.episode, [])
                 note_stored(folder, {bag: stored[episode.run.path][bag] for bag in uploaded})
                 yield
-            lines = [
-                json.dumps({**episode.line, KEY: run_key(self.config)}, sort_keys=True, separators=(",", ":")) + "\n"
-                for _, episode in sorted(self.chosen.items())
-            ]
+            lines = [line_of(run_key(self.config), episode.line) for _, episode in sorted(self.chosen.items())]
             write_whole(folder / RESULTS_FILE, "".join(lines))
             write_whole(folder / RUN_FILE, json.dumps(self.config, indent=2, sort_keys=True) + "\n")
 

@@ -9,6 +9,7 @@ import pytest
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import RoboximError
+from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_eval.experiments import SideBySide, stages_of
 from roboxim_eval.testing import RATES, experiment_of
 from roboxim_runs.experiments.calibration import trainings as calibration_trainings
@@ -18,7 +19,6 @@ from roboxim_runs.experiments.calibration.trainings import common_rate, common_s
 from roboxim_runs.experiments.card import evaluation_folder
 from roboxim_runs.experiments.files import checked_design
 from roboxim_runs.storage.folder import RunFolder
-from roboxim_runs.storage.results_log import ResultsLog
 from roboxim_runs.training import commands as experiment_trainings
 
 TEXT = """

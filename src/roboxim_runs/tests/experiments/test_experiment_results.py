@@ -17,6 +17,7 @@ from roboxim_cli.main import group
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import digest, to_json
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.results_log import ResultsLog, line_of
 from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
 from roboxim_core.proprioception import Proprioception
 from roboxim_eval.experiments import stages_of
@@ -38,7 +39,6 @@ from roboxim_runs.experiments.report import (
 from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment
 from roboxim_runs.experiments.trained.policies import named_policies
 from roboxim_runs.policies.specs import PolicySpec
-from roboxim_runs.storage.results_log import ResultsLog
 from roboxim_runs.testing import PLANTED_EXPERIMENT, PLANTED_RATES, planted_folder
 
 
@@ -119,7 +119,13 @@ def test_results_that_changed_after_the_card_are_refused(tmp_path):
     folder = planted_folder(tmp_path / "run", PLANTED_RATES)
     folder_card(folder)
     results = evaluation_folder(folder.path, "evaluate/baseline.1") / "results.jsonl"
-    results.write_text(results.read_text().replace('"outcome":"failure"', '"outcome":"success"', 1))
+    whole = results.read_text()
+    results.write_text(whole.replace('"outcome":"failure"', '"outcome":"success"', 1))
+    with pytest.raises(ConfigError, match=r"results.jsonl line \d+ was changed after it was written"):
+        folder_card(ExperimentFolder.of(folder.path))
+    entries = ResultsLog(results).read()
+    lines = [line_of(entry.key, {**entry.data, "outcome": "success"}) for entry in entries]  # with new checksums
+    results.write_text("".join(lines))
     with pytest.raises(ConfigError, match=r"results of evaluate/baseline.1 have changed since card.json"):
         folder_card(ExperimentFolder.of(folder.path))
     with pytest.raises(ConfigError, match="not the folder of an experiment"):

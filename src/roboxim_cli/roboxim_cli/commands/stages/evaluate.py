@@ -126,7 +126,7 @@ def command(
             f"policy {name} is privileged: it received the task, scene and state, "
             "which a policy under test must not see"
         )
-    for line in (*result.by_skill, stopped, result.comparison):
+    for line in (*result.doubts, *result.by_skill, stopped, result.comparison):
         if line:
             click.echo(line)
     click.echo(f"report: {result.report}")

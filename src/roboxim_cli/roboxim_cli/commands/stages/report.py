@@ -38,7 +38,8 @@ def command(folders: tuple[Path, ...], out: Path | None, **films: Any) -> None:
         if out is not None:
             raise ConfigError("the report of one evaluation is written into its own folder; leave out --out")
         result = report_of(folders[0], replace(first, film=film))
-        page, comparison = result.report or folders[0], result.comparison
+        page = result.report or folders[0]
+        comparison = "\n".join(filter(None, (*result.doubts, result.comparison)))
     if comparison:
         click.echo(comparison)
     click.echo(f"report: {page}")

@@ -10,11 +10,11 @@ from statistics import median
 from typing import Any
 
 from roboxim_core.episode import EpisodeResult
+from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_eval.experiments import Design, Rates, SideBySide
 from roboxim_eval.experiments.cost import LEAST_LEARNING_STEPS, LEAST_START_S
 from roboxim_runs.experiments.calibration.measuring import episode_s, rollout_times
 from roboxim_runs.storage.folder import RunFolder
-from roboxim_runs.storage.results_log import ResultsLog
 
 LEAST_EPISODES, LEAST_STEPS = 20, LEAST_LEARNING_STEPS
 """Fewest demonstrations and rollouts, and fewest training steps, of a run whose rates are stored."""

@@ -1,8 +1,9 @@
 """Results of a run, appended line by line: a crash loses at most the line being written.
 
 A line is a JSON object. Its ``key`` is the hash of everything that the result depends on, so a line copied from a run
-of another configuration or of other code is never reused. Resuming relies on this module alone: episodes, rendering and
-the benchmarks keep their results here.
+of another configuration or of other code is never reused. Its ``checksum`` is the hash of all its other fields, so a
+line that was edited by hand is refused. Lines of versions before 2026-11-27 have none; `LoggedResult.checked` says so.
+Resuming relies on this module alone: episodes, rendering and the benchmarks keep their results here.
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from roboxim_core.config import digest
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import parse_json
 from roboxim_core.whole_files import write_whole
 
-KEY = "key"
+KEY, CHECKSUM = "key", "checksum"
 REMEDY = (
     "run again with --repair or repair=True, which drops unreadable results and repeats them, or choose another output "
     "folder (--out or out=)"
@@ -35,6 +37,8 @@ class LoggedResult:
     """Hash of everything that the result depends on; empty in files of older versions."""
     data: dict[str, Any]
     """The result, as plain data."""
+    checked: bool
+    """Whether the line has a checksum, which agreed; false in files of older versions, whose edits are not noticed."""
 
 
 class ResultsLog:
@@ -48,14 +52,16 @@ class ResultsLog:
         """Return the results in the order of their lines. A torn last line, left by a crash, is skipped.
 
         Raises:
-            ConfigError: When any other line is not a result; the message names the line.
+            ConfigError: When any other line is not a result, or was changed; the message names the line.
         """
-        results = []
+        results: list[LoggedResult] = []
         for number, line in enumerate(self._lines(), start=1):
             try:
                 results.append(_parse(number, line))
+                if not results[-1].checked and any(entry.checked for entry in results[-2:-1]):
+                    raise ValueError("was changed: it has no checksum, although the line before it has one")
             except ValueError as error:
-                raise ConfigError(f"{self.path} line {number} is not a result ({error}); {REMEDY}") from None
+                raise ConfigError(f"{self.path} line {number} {error}; {REMEDY}") from None
         return results
 
     def append(self, key: str, result: Mapping[str, Any]) -> None:
@@ -69,7 +75,7 @@ class ResultsLog:
             whole = self.path.read_bytes().rpartition(b"\n")[0]
             write_whole(self.path, whole.decode(errors="replace") + ("\n" if whole else ""))
         with open(self.path, "a") as file:
-            file.write(json.dumps({**result, KEY: key}, sort_keys=True, separators=(",", ":")) + "\n")
+            file.write(line_of(key, result))
             file.flush()
             os.fsync(file.fileno())
 
@@ -112,14 +118,27 @@ class ResultsLog:
         return self.path.read_bytes().decode(errors="replace").split("\n")[:-1]
 
 
+def line_of(key: str, result: Mapping[str, Any]) -> str:
+    """Return a result as a line of a file, with its checksum and the end of the line."""
+    fields = {**result, KEY: key}
+    return _canonical({**fields, CHECKSUM: digest(_canonical(fields))}) + "\n"
+
+
+def _canonical(fields: Mapping[str, Any]) -> str:
+    return json.dumps(fields, sort_keys=True, separators=(",", ":"))
+
+
 def _parse(number: int, line: str) -> LoggedResult:
     try:
         data = parse_json(line, source="the line")
     except ConfigError as error:
-        raise ValueError(str(error)) from None
+        raise ValueError(f"is not a result ({error})") from None
     if not isinstance(data, dict):
-        raise ValueError("expected a JSON object")
+        raise ValueError("is not a result (expected a JSON object)")
+    checksum = data.pop(CHECKSUM, None)
+    if checksum not in (None, digest(_canonical(data))):
+        raise ValueError("was changed after it was written: its checksum is of other values")
     key = data.pop(KEY, "")
     if not isinstance(key, str):
-        raise ValueError(f"its key must be text, got {key!r}")
-    return LoggedResult(line=number, key=key, data=data)
+        raise ValueError(f"is not a result (its key must be text, got {key!r})")
+    return LoggedResult(line=number, key=key, data=data, checked=checksum is not None)
