@@ -123,6 +123,7 @@ def test_results_that_changed_after_the_card_are_refused(tmp_path):
     results.write_text(whole.replace('"outcome":"failure"', '"outcome":"success"', 1))
     with pytest.raises(ConfigError, match=r"results.jsonl line \d+ was changed after it was written"):
         folder_card(ExperimentFolder.of(folder.path))
+    results.write_text(whole)
     entries = ResultsLog(results).read()
     lines = [line_of(entry.key, {**entry.data, "outcome": "success"}) for entry in entries]  # with new checksums
     results.write_text("".join(lines))
