@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 
 import click
@@ -45,6 +46,15 @@ def test_every_command_refuses_an_option_given_twice():
     assert len(EVERY) > 90
     for name, command in EVERY.items():
         assert isinstance(command, strict.Strict), f"'{name}' is not made by roboxim_cli.strict"
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_command_takes_what_its_options_give(name):
+    """An option whose parameter has another name ends the command with a TypeError."""
+    of_decorators = {"domain", "run_id"}  # which make a peer of them
+    taken = inspect.signature(EVERY[name].callback).parameters
+    given = {parameter.name for parameter in EVERY[name].params if parameter.expose_value}
+    assert given - of_decorators <= set(taken) or any(part.kind is part.VAR_KEYWORD for part in taken.values())
 
 
 def test_an_option_given_twice_is_refused_by_name():

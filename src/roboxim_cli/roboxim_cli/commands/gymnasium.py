@@ -15,7 +15,10 @@ def command() -> None:
 @command.command("serve")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen at.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True, help="Port; 0: any.")
-@click.option("--most", type=click.IntRange(1, 64), default=8, show_default=True, help="Environments at the same time.")
+@click.option(
+    "--most", "max_environments", type=click.IntRange(1, 64), default=8, show_default=True,
+    help="Environments at the same time.",
+)  # fmt: skip
 def serve(host: str, port: int, max_environments: int) -> None:
     r"""Serve environments over a WebSocket; each connection is one environment.
 
