@@ -15,8 +15,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from roboxim_bringup.extras import EXTRAS, PURPOSES, absent, install_command
 from roboxim_core.errors import RoboximError
+from roboxim_core.plain_data.extras import EXTRAS, PURPOSES, absent, install_command
 from roboxim_core.registry import Registry
 from roboxim_core.user_folders import user_name
 

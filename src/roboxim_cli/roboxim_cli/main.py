@@ -181,7 +181,7 @@ def main() -> None:
         click.echo(f"error: {error}" if wrong_usage else f"error: {error} [{error.code.name}]", err=True)
         sys.exit(2 if wrong_usage else 1)
     except ModuleNotFoundError as error:
-        from roboxim_bringup.extras import explained
+        from roboxim_core.plain_data.extras import explained
 
         if (missing := explained(error)) is None:
             raise

@@ -31,6 +31,7 @@ import numpy.typing as npt
 from roboxim_core.actions import ActionSemantics, Chunking, GripperRule, check_chunk
 from roboxim_core.config import from_plain
 from roboxim_core.errors import ConfigError, PolicyError, RoboximError, UnavailableError, nearest, one_of
+from roboxim_core.plain_data.extras import not_installed
 from roboxim_core.policies import (
     ActionChunk,
     CameraRequirement,
@@ -302,7 +303,7 @@ def _blaming(what: str) -> Iterator[None]:
     except RoboximError:
         raise
     except ModuleNotFoundError as error:
-        raise UnavailableError(f"{what}: it needs '{error.name}', which is not installed") from error
+        raise UnavailableError(f"{what}: it needs {not_installed(error.name or '')}") from error
     except (Exception, SystemExit) as error:
         *_, last = traceback.extract_tb(error.__traceback__)
         where = "" if isinstance(error, SyntaxError) else f" (raised at {last.filename}:{last.lineno})"

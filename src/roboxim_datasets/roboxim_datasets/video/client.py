@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from fractions import Fraction
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -45,6 +46,8 @@ class _Process:
     """A video worker."""
 
     def __init__(self) -> None:
+        if find_spec("av") is None:
+            raise ModuleNotFoundError("videos need PyAV", name="av")
         self._process = subprocess.Popen(
             [sys.executable, "-m", "roboxim_datasets.video.worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )

@@ -56,7 +56,7 @@ class BenchmarkCard:
     about: str = ""
     """The question."""
     thesis: str = ""
-    """Section of the thesis; empty: not in it."""
+    """Section of the thesis that the shipped experiments follow (see the glossary); empty: none."""
     reference: Reference | None = None
     """Published results to stand beside these; null: none."""
     experiments: dict[str, Card]

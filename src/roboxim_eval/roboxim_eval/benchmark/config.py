@@ -41,7 +41,7 @@ class BenchmarkConfig:
     about: str
     """The question, one sentence."""
     thesis: str = ""
-    """Section of the thesis; empty: not in it."""
+    """Section of the thesis that the shipped experiments follow (see the glossary); empty: none."""
     experiments: tuple[str, ...]
     """Names of files in ``config/experiments``."""
     reference: Reference | None = None

