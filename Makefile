@@ -7,7 +7,7 @@ BIN := .venv/bin
 # Container images often set this variable. Without compiled modules each process of a run starts a second later.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-thorough test-slow test-pythons test-lowest fuzz format lint types docs colcon verify-conventions verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals release lock clean clean-all
+.PHONY: help setup try-lerobot demo test test-thorough test-slow test-pythons test-lowest fuzz format lint types docs colcon verify-conventions verify-rlds verify-lerobot planner-peers render-peers policy-octo policy-rt1 zero-shot photo scale soak robot-visuals release lock clean clean-all
 
 help: ## list the commands
 	@grep -hE '^[a-zA-Z_%-]+:.*## ' $(MAKEFILE_LIST) | sed -e 's/%/NAME/' | \
@@ -120,6 +120,10 @@ robot-visuals: setup ## rebuild the robots' URDFs, SRDFs and meshes from the whe
 release: setup ## build the distributions into dist/, install and run them in empty environments; ARGS="--python 3.12"
 	@.venv/bin/python scripts/make_environment.py release
 	@.venv/bin/python scripts/release.py $(ARGS)
+
+try-lerobot: setup ## evaluate with the genuine lerobot in an empty environment of Python 3.12 (6 GB), with wheels alone
+	@.venv/bin/python scripts/make_environment.py release
+	@.venv/bin/python scripts/try_lerobot.py
 
 lock: setup ## rebuild the locks in requirements/ from the pyproject.toml files
 	@$(BIN)/python scripts/lock.py $(ARGS)

@@ -265,7 +265,7 @@ class ExperimentConfig:
     about: str
     """The question, one sentence."""
     thesis: str = ""
-    """Section of the thesis, e.g. ``5.4.3``; empty: not in it."""
+    """Section of the thesis that the shipped experiments follow (see the glossary), e.g. ``5.4.3``; empty: none."""
     deviations: tuple[str, ...] = ()
     """What differs from the thesis, a sentence each."""
     factors: dict[str, Any]
