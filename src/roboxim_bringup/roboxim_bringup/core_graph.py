@@ -6,7 +6,7 @@ For tests (an episode through the nodes must equal this one, bit for bit) and fo
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +14,7 @@ from pathlib import Path
 from rclpy.serialization import serialize_message
 from roboxim_interfaces.msg import EpisodeInfo as EpisodeInfoMsg
 from roboxim_interfaces.msg import EpisodeResult as EpisodeResultMsg
+from std_msgs.msg import String
 
 from roboxim_bringup.cores import CorePlanner, CoreSegmentation
 from roboxim_core.actions import ActionArray, ActionSemantics
@@ -155,21 +156,33 @@ class CoreSim:
 class CoreRecorder:
     """Writes bags."""
 
-    def __init__(self, sim: CoreSim, output_dir: Path) -> None:
-        """Record a sim's episodes into a folder."""
+    def __init__(self, sim: CoreSim, output_dir: Path, *, acted_by: Callable[[EpisodeStep], str] | None = None) -> None:
+        """Record a sim's episodes into a folder.
+
+        Args:
+            sim: The simulator.
+            output_dir: The folder.
+            acted_by: Returns who acted in a step, if that may change within an episode; none: bags do not say it.
+        """
         self._sim = sim
         self._output_dir = output_dir
+        self._acted_by = acted_by
         self._recording: EpisodeRecording | None = None
 
     def open(self, info: EpisodeInfo) -> None:
         """Open the episode's bag."""
-        self._recording = EpisodeRecording(self._output_dir, info, serialize_message(to_msg(info, EpisodeInfoMsg)))
+        self._recording = EpisodeRecording(
+            self._output_dir, info, serialize_message(to_msg(info, EpisodeInfoMsg)),
+            topics.ACTORS if self._acted_by else {},
+        )  # fmt: skip
 
     def step(self, step: EpisodeStep) -> None:
         """Write a tick."""
         assert self._recording is not None
         for topic, message in self._sim.messages.items():
             self._recording.message(f"/{topic}", message)
+        if self._acted_by and step.phase == "act":
+            self._recording.message(topics.ACTED_BY, serialize_message(String(data=self._acted_by(step))))
         self._recording.message(topics.STEP, to_cdr(step, topics.ALWAYS[topics.STEP]))
         self._recording.flush()
 

@@ -12,6 +12,7 @@ STATE = "/sim/state"
 TF_STATIC = "/tf_static"
 DESCRIPTION = "/robot_description"
 MARKERS = "/sim/markers"
+ACTED_BY = "/episode/acted_by"
 
 IMAGE = "sensor_msgs/msg/Image"
 """Type of every image."""
@@ -31,6 +32,8 @@ ALWAYS = {
 """Topics of every episode."""
 OF_SCENE = (TF_STATIC, DESCRIPTION, MARKERS)
 """Topics with a message in tick 0 only, which is valid for the whole episode."""
+ACTORS = {ACTED_BY: "std_msgs/msg/String"}
+"""Topic of episodes in which several acted, with a message after each action's tick: who acted. Others lack it."""
 ADDED = (MARKERS,)
 """Topics that bags of earlier versions lack."""
 

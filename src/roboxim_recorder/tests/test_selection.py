@@ -7,8 +7,8 @@ import json
 import pytest
 
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError
+from roboxim_datasets.where import Condition
 from roboxim_recorder.export.selection import Selection, choose, splits
-from roboxim_recorder.export.where import Condition
 from roboxim_recorder.run_bags import run_bags
 
 

@@ -82,8 +82,9 @@ class Studio:
         self.editor = EditorPanel(self.site, self.view, self.bench, self.lab, self.library, self.folder)
         self.compose = ComposePanel(self.site, self.view, self.bench, self.lab, self.editor, self.watch)
         self.drive = DrivePanel(
-            self.site, self.view, self.bench, self.lab, self.editor, self.compose, self.folder / FOLDER, self.watch
-        )
+            self.site, self.view, self.bench, self.lab, self.editor, self.compose, self.folder / FOLDER, self.watch,
+            lambda: (self.episode.film, self.episode.tick),
+        )  # fmt: skip
         self.view.objects_clicked = self._clicked
         with self.what_if.folder:
             edit = server.gui.add_button("Edit this scene")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from roboxim_core.errors import InvalidRequestError
+from roboxim_datasets.where import with_files
 from roboxim_recorder.export import EXPORTERS
-from roboxim_recorder.export.where import with_files
 from roboxim_runs.datasets.export import export_dataset
 from roboxim_studio.browser import wait_for
 from roboxim_studio.episode.choice import selection_text

@@ -37,6 +37,7 @@ from roboxim_core.rotation.representations import RotationRepresentation
 from roboxim_datasets.dataset import Description, Features
 from roboxim_datasets.episode import BETWEEN_ROBOTS, EXECUTED, Floats, ImageSize, RGBImage
 from roboxim_datasets.rlds.episodes import USUAL_KEYS
+from roboxim_recorder.acted import ACTED_BY, ACTORS
 from roboxim_recorder.export.fit import (
     camera_sizes,
     firsts_of_robots,
@@ -44,7 +45,8 @@ from roboxim_recorder.export.fit import (
     one_semantics,
     require_common_space,
 )
-from roboxim_recorder.export.selection import Selection, Source
+from roboxim_recorder.export.selection import Selection
+from roboxim_recorder.export.sources import Source
 
 PREFIX = "observation/"
 """Prefix of the request keys of observations; a dataset's keys omit it."""
@@ -177,7 +179,7 @@ class Content:
         return Description(
             features=Features(
                 cameras=self.sizes, keys=self.keys, depth=self.depth, segmentation=self.segmentation, action=action,
-                vectors=self.names, signals={EXECUTED: action},
+                vectors=self.names, signals={EXECUTED: action, **_signals(sources)},
                 subtasks=any(source.info.task.step_words for source in sources),
             ),
             fps=self.convention.rate_hz,
@@ -192,6 +194,11 @@ class Content:
                 + (f" Left out, since the robots' joints differ: {', '.join(self.left_out)}." if self.left_out else "")
             ),
         )  # fmt: skip
+
+
+def _signals(sources: Sequence[Source]) -> dict[str, tuple[str, ...]]:
+    """Return the signals of a dataset besides the executed actions."""
+    return {ACTED_BY: ACTORS} if any(source.actors for source in sources) else {}
 
 
 def content_of(sources: Sequence[Source], selection: Selection) -> Content:

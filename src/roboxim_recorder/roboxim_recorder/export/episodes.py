@@ -15,9 +15,10 @@ from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_core.proprioception import STATE_FIELDS, Proprioception, ProprioField, component_names
 from roboxim_core.rotation.representations import RotationRepresentation
 from roboxim_datasets.episode import Episode, Floats, ImageSize, MetaValue, Step, Wanted
+from roboxim_recorder.acted import ACTED_BY, ACTORS
 from roboxim_recorder.bag import BagReader, BagTick
 from roboxim_recorder.export.content import Content
-from roboxim_recorder.export.selection import Source
+from roboxim_recorder.export.sources import Source
 
 SNAP = 1e-5
 """Smaller motions [m, rad or rad/s] become 0: normalised, the noise of a dead dimension would look like an action."""
@@ -84,7 +85,7 @@ def exported_episode(source: Source, content: Content) -> Episode:
         source: The bag.
         content: Content of the export.
     """
-    length = -(-source.result.steps // content.every)
+    length = -(-source.steps // content.every)
     description = content.describe((source,))
     words = tuple(map(content.instruction, source.info.task.step_words))
 
@@ -108,22 +109,24 @@ def exported_episode(source: Source, content: Content) -> Episode:
                 proprio={name: make(measured) for name, make in content.vectors.items()},
                 action=label,
                 action_executed=executed,
-                reward=float(_solved(source) and at == length - 1),
+                reward=float(source.solved and at == length - 1),
                 subtask=_at_hand(words, observed),
+                signals=_signals(source, index),
             )
 
     return Episode(
-        episode_id=source.info.episode_id,
+        episode_id=source.episode_id,
         length=length,
-        instruction=content.instruction(source.info.task.instruction),
+        instruction=content.instruction(source.instruction),
         subtasks=words,
         semantics=content.semantics,
         cameras=content.sizes,
-        success=_solved(source),
+        success=source.solved,
         robot=source.info.scene.robot.model,
         joint_names=content.joint_names,
         fps=description.fps,
         vectors=content.names,
+        signals={ACTED_BY: ACTORS} if source.actors else {},
         depth=content.depth,
         segmentation=content.segmentation,
         metadata=_metadata(source),
@@ -135,6 +138,14 @@ def _at_hand(words: Sequence[str], tick: BagTick) -> str | None:
     """Return the words of the step at hand at a tick; None: its task has one step."""
     number = tick.step.verdict.step
     return words[number - 1] if 0 < number <= len(words) else None
+
+
+def _signals(source: Source, index: int) -> Mapping[str, Floats]:
+    """Return who acted at a step, 1 for one of `ACTORS`."""
+    if not source.actors:
+        return {}
+    acted = source.actors[source.first + index]
+    return {ACTED_BY: np.array([float(acted == actor) for actor in ACTORS], np.float32)}
 
 
 def _solved(source: Source) -> bool:
@@ -156,7 +167,7 @@ def _metadata(source: Source) -> Mapping[str, MetaValue]:
 
 
 def _actions_of(source: Source, wanted: Wanted) -> Iterator[tuple[BagTick, BagTick]]:
-    """Yield the tick before and the tick after each action.
+    """Yield the tick before and the tick after each action of the source's part.
 
     Raises:
         RecorderError: With code ``BAG_DAMAGED`` when the bag has fewer actions than its result says.
@@ -170,9 +181,10 @@ def _actions_of(source: Source, wanted: Wanted) -> Iterator[tuple[BagTick, BagTi
         if observed is not None:
             if tick.step.phase != "act":
                 break
-            yield observed, tick
+            if count >= source.first:
+                yield observed, tick
             count += 1
-            if count == source.result.steps:
+            if count == source.first + source.steps:
                 return
         observed = tick
     raise RecorderError(

@@ -8,7 +8,7 @@ from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_datasets.episode import ImageSize
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.export.selection import Source
+from roboxim_recorder.export.sources import Source
 
 
 def firsts_of_robots(sources: Sequence[Source]) -> dict[str, Source]:

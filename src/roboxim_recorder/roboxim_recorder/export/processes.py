@@ -20,7 +20,8 @@ from roboxim_datasets.dataset import EncodingWriter
 from roboxim_datasets.episode import Episode
 from roboxim_recorder.export.content import Content, content_of
 from roboxim_recorder.export.episodes import exported_episode
-from roboxim_recorder.export.selection import Selection, Source
+from roboxim_recorder.export.selection import Selection
+from roboxim_recorder.export.sources import Source
 
 AHEAD = 2
 """Number of episodes per process that are read ahead of writing."""

@@ -25,7 +25,8 @@ from roboxim_recorder.export.episodes import exported_episode
 from roboxim_recorder.export.fit import firsts_of_robots
 from roboxim_recorder.export.processes import add_in_processes, available_cores
 from roboxim_recorder.export.registry import EXPORTERS, Exporter
-from roboxim_recorder.export.selection import Chosen, Selection, Source, choose
+from roboxim_recorder.export.selection import Chosen, Selection, choose
+from roboxim_recorder.export.sources import Source
 from roboxim_recorder.run_bags import run_bags
 
 Progress = Callable[[int, int], None]
@@ -190,9 +191,16 @@ def _identity(name: str, chosen: Chosen, content: Content, config: Selection) ->
         for source in sources:
             result, cameras = source.result, digest(source.info.scene.cameras)
             found.update(
-                f"{split} {result.episode_id} {result.last_seq} {result.final_state_hash} {cameras}\n".encode()
+                f"{split} {result.episode_id} {result.last_seq} {result.final_state_hash} {cameras}"
+                f"{_edits(source)}\n".encode()
             )
     return found.hexdigest()
+
+
+def _edits(source: Source) -> str:
+    """Return what an export changes of a bag; empty: nothing."""
+    parts = (source.part, source.relabelled, [str(actor) for actor in source.actors])
+    return f" {json.dumps(parts)}" if any(parts) else ""
 
 
 def _exported_identity(path: Path) -> str:
@@ -207,7 +215,7 @@ def _report(exporter: Exporter, path: Path, chosen: Chosen, content: Content, re
     return ExportReport(
         path=path,
         splits=contents.splits,
-        steps=sum(-(-source.result.steps // content.every) for source in chosen.sources),
+        steps=sum(-(-source.steps // content.every) for source in chosen.sources),
         left_out=chosen.left_out,
         dead_dimensions=contents.dead_dimensions,
         resumed=resumed,

@@ -7,13 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from roboxim_core.episode import EpisodeInfo, EpisodeResult
+from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_core.shards import Shard
 from roboxim_datasets.dataset import SPLITS
+from roboxim_datasets.where import Choice
+from roboxim_recorder.acted import ActedBy, is_shared
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import REPAIRED
-from roboxim_recorder.export.where import Condition, cell_of, facts_of, require_known
+from roboxim_recorder.export.sources import Source, by_actor, edited, stating_actors
+from roboxim_recorder.export.where import facts_of
 from roboxim_recorder.run_bags import RunBags
 
 
@@ -48,7 +51,11 @@ class Selection:
     where: tuple[str, ...] = ()
     """Conditions that every episode must meet: ``KEY=VALUE[,VALUE...]``, ``KEY!=VALUE``, ``KEY<NUMBER``. Keys:
     ``skill``, ``object``, ``target``, ``target.color``, ``camera``, ``outcome``, ``steps``, ``cell``, ``drawn.NAME``,
-    ...; see `roboxim_recorder.export.where`."""
+    ...; see `roboxim_recorder.export.where`. Also edits, ``trim EPISODE FIRST..LAST`` and ``relabel EPISODE WORDS``,
+    see `roboxim_datasets.where`."""
+    acted_by: str = ""
+    """Only the steps of one actor: ``policy``, ``human`` or ``expert``. Where a person took over from a policy, each
+    stretch of it becomes an episode of its own. Empty: all steps."""
     per_cell: int = 0
     """Number of episodes of each cell, the first ones that pass the filters; 0: all. A cell is that of the task's mix,
     else the skill."""
@@ -91,8 +98,9 @@ class Selection:
             raise InvalidRequestError(f"per_cell must be at least 0, got {self.per_cell}")
         if self.rate_hz < 0:
             raise InvalidRequestError(f"rate_hz must be at least 0, got {self.rate_hz}")
-        for text in self.where:
-            Condition.parse(text)
+        Choice.parse(self.where)
+        if self.acted_by and self.acted_by not in list(ActedBy):
+            raise InvalidRequestError(f"nobody acts as '{self.acted_by}'; {one_of(ActedBy, self.acted_by)}")
         Shard.parse(self.shard)
         given = {
             "cameras": self.cameras, "image_width": self.image_width, "actions": self.actions, "state": self.state,
@@ -103,23 +111,6 @@ class Selection:
                 f"the convention '{self.convention}' defines images, state, actions and rate; leave out "
                 f"{', '.join(twice)}, or write a convention of your own"
             )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Source:
-    """A bag to export, with the facts that are known before its ticks are read."""
-
-    path: Path
-    """The bag."""
-    info: EpisodeInfo
-    """Everything needed to reproduce the episode."""
-    result: EpisodeResult
-    """How the episode ended."""
-
-    @property
-    def cell(self) -> str:
-        """Cell of the episode."""
-        return cell_of(self.info)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,7 +161,8 @@ def choose(runs: Sequence[RunBags], selection: Selection) -> Chosen:
     left_out: Counter[str] = Counter()
     kept = _filtered(found, selection, left_out)
     kept = _per_cell(kept, selection, left_out)
-    splits = _shard(_split(kept, selection, left_out), selection, left_out)
+    splits = _shard(_split(stating_actors(kept), selection, left_out), selection, left_out)
+    splits = _by_actor(splits, selection.acted_by, left_out)
     unexpected = tuple(bag for run in runs for bag in run.unexpected)
     left_out.update({"no_bag": len(missing), "no_result": len(unexpected)})
     return Chosen(
@@ -193,7 +185,7 @@ def _source(path: Path, bags: RunBags) -> Source:
             f"{found}; 'roboxim bag check' gives details",
             ErrorCode.BAG_DAMAGED,
         )
-    return Source(path=path, info=info, result=result)
+    return Source(path=path, info=info, result=result, shared=is_shared(reader))
 
 
 def _require_unique(sources: Sequence[Source]) -> None:
@@ -207,22 +199,20 @@ def _require_unique(sources: Sequence[Source]) -> None:
 
 
 def _filtered(sources: Sequence[Source], selection: Selection, left_out: Counter[str]) -> list[Source]:
-    conditions = [Condition.parse(text) for text in selection.where]
+    choice = Choice.parse(selection.where)
     facts = [facts_of(source.info, source.result) for source in sources]
-    require_known(conditions, facts)
-    named = {condition.key for condition in conditions}
+    choice.require_known(facts)
+    named = {condition.key for _, condition in choice.conditions}
     kept = []
     for source, known in zip(sources, facts, strict=True):
         reason = _refusal(source.result, selection, named)
         if not reason:
-            failed = [
-                text for text, condition in zip(selection.where, conditions, strict=True) if not condition.holds(known)
-            ]
-            reason = f"not {failed[0]}" if failed else ""
+            failed = choice.refusal(known)
+            reason = f"not {failed}" if failed else ""
         if reason:
             left_out[reason] += 1
         else:
-            kept.append(source)
+            kept.append(edited(source, choice.edits.get(source.info.episode_id)))
     if not kept:
         reasons = ", ".join(f"{reason}: {count}" for reason, count in left_out.most_common())
         advice = (
@@ -297,6 +287,23 @@ def _shard(
         raise _refused(f"shard {shard} has no episode: only {whole} can be exported; divide them into fewer shards")
     left_out["other shards"] += whole - taken
     return {split: sources for split, sources in found.items() if sources}
+
+
+def _by_actor(
+    splits: dict[str, tuple[Source, ...]], actor: str, left_out: Counter[str]
+) -> dict[str, tuple[Source, ...]]:
+    """Return the stretches in which one actor acted; empty: everything. Those of an episode stay in its split."""
+    if not actor:
+        return splits
+    found: dict[str, tuple[Source, ...]] = {}
+    for split, sources in splits.items():
+        parts = {source.path: by_actor(source, ActedBy(actor)) for source in sources}
+        left_out[f"nothing by {actor}"] += sum(not some for some in parts.values())
+        if together := tuple(part for some in parts.values() for part in some):
+            found[split] = together
+    if not found:
+        raise _refused(f"none of the episodes has a step by '{actor}'; choose another --acted-by, or leave it out")
+    return found
 
 
 def _counted(total: int, wanted: Mapping[str, int]) -> list[str]:

@@ -27,7 +27,7 @@ from roboxim_datasets.formats import open_dataset
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.export.episodes import bag_episode
-from roboxim_recorder.export.selection import Source
+from roboxim_recorder.export.sources import Source
 from roboxim_recorder.run_bags import holds_bags, list_bags, run_bags
 from roboxim_runs.datasets.audit_expected import NO_BAG, Expected, expected_of_bags, expected_of_dataset
 from roboxim_runs.datasets.audit_truth import BagTruth, TruthPorts

@@ -19,7 +19,8 @@ from roboxim_recorder.export.content import content_of
 from roboxim_recorder.export.convention_file import CONVENTION_FILE
 from roboxim_recorder.export.episodes import exported_episode
 from roboxim_recorder.export.registry import EXPORTERS
-from roboxim_recorder.export.selection import Selection, Source
+from roboxim_recorder.export.selection import Selection
+from roboxim_recorder.export.sources import Source
 
 NO_SETTINGS = "the dataset does not say how it was exported (export.json), so its bags cannot be exported alike"
 NO_BAG = "none of the bags given is of this episode"

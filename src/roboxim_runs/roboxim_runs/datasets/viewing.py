@@ -9,7 +9,7 @@ from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import open_dataset
 from roboxim_recorder.bag import BagReader, mcap_file
 from roboxim_recorder.export.episodes import bag_episode
-from roboxim_recorder.export.selection import Source
+from roboxim_recorder.export.sources import Source
 from roboxim_recorder.run_bags import holds_bags, list_bags
 
 

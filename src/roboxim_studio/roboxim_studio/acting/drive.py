@@ -1,8 +1,12 @@
-"""Episodes that a person drives, tick by tick, recorded as bags like any other. Belongs to the bench's thread."""
+"""Episodes that a person drives, alone or in turns with a policy, tick by tick. Belongs to the bench's thread.
+
+They are recorded as bags like any other. One that is shared says of every action who acted (`roboxim_recorder.acted`).
+"""
 
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,12 +15,14 @@ import numpy as np
 
 from roboxim_core.actions import ANY_RATE, ActionArray, ActionSemantics
 from roboxim_core.episode import Draw, EpisodeResult, RunConfig
-from roboxim_core.episode.runner import Play, episode_id
-from roboxim_core.errors import ErrorCode, PolicyError, TaskError
+from roboxim_core.episode.runner import Play, Request, episode_id
+from roboxim_core.errors import ConfigError, ErrorCode, PolicyError, SimError, TaskError
 from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, PolicyDescription
 from roboxim_core.seeds import SeedPath
 from roboxim_core.state import StateRecord
+from roboxim_recorder.acted import ActedBy
 from roboxim_recorder.bag_writer import PLACES
+from roboxim_studio.acting.partner import Partner
 from roboxim_studio.acting.take import FilmRecorder, OnTick, begin
 from roboxim_studio.episode.film import Film
 
@@ -32,9 +38,13 @@ MOST_STEPS = 3000
 class Human:
     """Declares what a person does: end-effector deltas, at any rate. Never asked; the drive sends the actions."""
 
+    def __init__(self, described: PolicyDescription | None = None) -> None:
+        """Declare what a person does alone, or what a partner needs and does."""
+        self._described = described or PolicyDescription(name=HUMAN, semantics=ActionSemantics(rate_hz=ANY_RATE))
+
     def describe(self) -> PolicyDescription:
         """Return the description."""
-        return PolicyDescription(name=HUMAN, semantics=ActionSemantics(rate_hz=ANY_RATE))
+        return self._described
 
     def reset(self, start: EpisodeStart) -> None:
         """Start nothing."""
@@ -57,12 +67,31 @@ def next_index(folder: Path, seed: SeedPath) -> int:
     return index
 
 
+def continued(film: Film, tick: int) -> tuple[Draw, list[tuple[StateRecord, ActedBy]]]:
+    """Return an episode's task and scene, and its states up to a tick with who acted, for `Drive`.
+
+    Raises:
+        ConfigError: When it was not recorded by end-effector motions, as a person acts.
+    """
+    info = film.info
+    if info.semantics.control.is_joint_space:
+        raise ConfigError(
+            f"the episode was recorded by {info.semantics.control}, a person acts by end-effector motions; take over "
+            "in an episode of end-effector motions"
+        )
+    last = min(tick, film.result.steps)
+    states = film.states[1 : last + 1]
+    draw = Draw(task=info.task, scene=info.scene, max_steps=MOST_STEPS)
+    return draw, list(zip(states, film.actors[:last], strict=True))
+
+
 class Drive:
     """One episode. `step` executes an action; after the end `film` is there, until then `close` sets it apart."""
 
     def __init__(
-        self, graph: CoreGraph, draw: Draw, seed: SeedPath, folder: Path, *, on_tick: OnTick = lambda *_: None
-    ) -> None:
+        self, graph: CoreGraph, draw: Draw, seed: SeedPath, folder: Path, *, on_tick: OnTick = lambda *_: None,
+        partner: Partner | None = None, after: Sequence[tuple[StateRecord, ActedBy]] = (),
+    ) -> None:  # fmt: skip
         """Begin an episode.
 
         Args:
@@ -71,33 +100,68 @@ class Drive:
             seed: Names the episode.
             folder: Folder of the bags.
             on_tick: Called with every tick.
+            partner: Who acts while the person does not; none: only the person acts.
+            after: States of another episode of the scene, from tick 1 on, with who acted; its actions are executed
+                first, then the person has control. Empty: a partner has control first.
 
         Raises:
             TaskError: With code ``RESET_INFEASIBLE`` when the episode cannot begin.
+            SimError: With code ``DIVERGED`` when the other episode's actions do not lead to its states.
         """
         from roboxim_bringup.core_graph import CoreRecorder
         from roboxim_eval.node import versions
 
         self._folder = folder
-        self._recorder = FilmRecorder(graph.sim, bags=CoreRecorder(graph.sim, folder), on_tick=on_tick)
+        self.partner = partner
+        """Who acts while the person does not; none: nobody."""
+        self.instruction = draw.task.instruction
+        """The instruction."""
+        self._acts = ActedBy.HUMAN
+        self.partner_acts = partner is not None and not after
+        """Whether the partner has control."""
+        self._shared = shared = partner is not None or bool(after)
+        self._acted: list[ActedBy] = []
+        bags = CoreRecorder(graph.sim, folder, acted_by=(lambda _: str(self._acts)) if shared else None)
+        self._recorder = FilmRecorder(graph.sim, bags=bags, on_tick=on_tick)
         config = RunConfig(
-            run_seed=seed.run_seed, purpose=seed.purpose, actor=HUMAN, max_steps=MOST_STEPS, keep="all",
-            output_dir=str(folder.absolute()),
+            run_seed=seed.run_seed, purpose=seed.purpose, actor=partner.name if partner else HUMAN,
+            max_steps=MOST_STEPS, keep="all", output_dir=str(folder.absolute()),
         )  # fmt: skip
-        _, play = begin(graph, draw, Human(), self._recorder, seed, config=config, versions=versions())
+        described = Human(partner.description) if partner else Human()
+        _, play = begin(graph, draw, described, self._recorder, seed, config=config, versions=versions())
         self._sim = graph.sim
         self.rate_hz = draw.scene.control_rate_hz
-        """Control rate [Hz]."""
+        """Control rate of the episode [Hz]."""
         self.result: EpisodeResult | None = None
         """The result; none while it runs."""
         self._play: Play | None = play
+        self._window: Request | None = None
         try:
-            next(play)
-            play.send(None)
+            start = next(play)
+            self._window = play.send(None)
         except StopIteration as end:
             self._play = None
             result: EpisodeResult = end.value
             raise TaskError(result.message, ErrorCode.RESET_INFEASIBLE) from None
+        info = self._recorder.info
+        assert info is not None
+        assert isinstance(start, EpisodeStart)
+        self.rate_hz = info.scene.control_rate_hz
+        if partner is not None:
+            partner.begin(start, info)
+        self._repeat(after)
+
+    def _repeat(self, after: Sequence[tuple[StateRecord, ActedBy]]) -> None:
+        """Execute another episode's actions; every state must be the recorded one."""
+        for recorded, who in after:
+            self._send(ActionChunk(actions=np.array(recorded.action_executed, np.float32)[None]), who)
+            if self.state.state_hash != recorded.state_hash:
+                self.throw_away()
+                raise SimError(
+                    f"the simulator does not repeat the recording: tick {recorded.seq} differs; models or versions "
+                    "have changed since",
+                    ErrorCode.DIVERGED,
+                )
 
     @property
     def state(self) -> StateRecord:
@@ -108,7 +172,7 @@ class Drive:
     def film(self) -> Film | None:
         """The episode, when it has ended."""
         film = self._recorder.film
-        return replace(film, path=self.bag) if film is not None else None
+        return replace(film, path=self.bag, acted=tuple(self._acted)) if film is not None else None
 
     @property
     def bag(self) -> Path | None:
@@ -128,10 +192,40 @@ class Drive:
         Raises:
             RoboximError: On a fault of the simulator or the recorder.
         """
+        return self._send(ActionChunk(actions=np.asarray(action, np.float32)[None], done=last), ActedBy.HUMAN)
+
+    def partner_step(self, *, last: bool = False) -> bool:
+        """Execute an action of the partner.
+
+        Args:
+            last: Whether the person ends the episode with it.
+
+        Returns:
+            Whether the episode goes on.
+
+        Raises:
+            PolicyError: When the partner cannot act; nothing was executed, and the person may take over.
+            RoboximError: On a fault of the simulator or the recorder.
+        """
+        if self._play is None or self.partner is None or not isinstance(self._window, ObservationWindow):
+            return False
+        chunk = self.partner.act(self._window, self.state)
+        return self._send(replace(chunk, done=chunk.done or last), self.partner.acts_as)
+
+    def hand(self, *, to_partner: bool) -> None:
+        """Give control to the partner, if there is one, or to the person."""
+        if self.partner is not None and to_partner != self.partner_acts:
+            self.partner_acts = to_partner
+            self.partner.let_go()
+
+    def _send(self, chunk: ActionChunk, who: ActedBy) -> bool:
         if self._play is None:
             return False
+        self._acts = who
+        if self._shared:
+            self._acted.append(who)
         try:
-            self._play.send(ActionChunk(actions=np.asarray(action, np.float32)[None], done=last))
+            self._window = self._play.send(chunk)
         except StopIteration as end:
             self._play = None
             self.result = end.value

@@ -19,11 +19,11 @@ KEYS: Mapping[str, tuple[int, float]] = {
 }  # fmt: skip
 """Key to the component of the action that it moves, and the direction."""
 SLOW_KEYS = ("ShiftLeft", "ShiftRight")
-GRIPPER, KEEP, THROW = "Space", "Enter", "Backspace"
+GRIPPER, KEEP, THROW, HAND = "Space", "Enter", "Backspace", "KeyT"
 AXES: Mapping[int, tuple[int, float]] = {1: (0, -1.0), 0: (1, -1.0), 3: (2, -1.0), 2: (5, -1.0)}
 """Axis of a standard gamepad to the component of the action and the direction: sticks move along x, y, z and turn."""
 ROLL_BUTTONS: Mapping[int, float] = {4: -1.0, 5: 1.0}
-GRIPPER_BUTTON, THROW_BUTTON, KEEP_BUTTON = 0, 8, 9
+GRIPPER_BUTTON, HAND_BUTTON, THROW_BUTTON, KEEP_BUTTON = 0, 3, 8, 9
 SLOW_BUTTON = 6
 DEAD_ZONE = 0.15
 """Deflection of a stick below which it rests."""

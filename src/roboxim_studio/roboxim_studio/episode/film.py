@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
 from roboxim_core.errors import RecorderError
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
+from roboxim_recorder.acted import ActedBy, acted_by, actor_of, is_shared
 from roboxim_recorder.bag import BagReader
 
 QUALITY = 92
@@ -40,10 +42,17 @@ class Film:
     """Pictures of every camera."""
     path: Path | None = None
     """The bag; none: it was not recorded."""
+    acted: tuple[ActedBy, ...] = ()
+    """Who acted at each action, if several did; empty: the episode's actor."""
 
     def __len__(self) -> int:
         """Count the ticks."""
         return len(self.states)
+
+    @property
+    def actors(self) -> tuple[ActedBy, ...]:
+        """Who acted at each action."""
+        return self.acted or (actor_of(self.info),) * self.result.steps
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
@@ -113,6 +122,7 @@ def read_film(path: Path, *, in_background: bool = True) -> Film:
     return Film(
         title=reader.info.episode_id, info=reader.info, result=reader.result, path=path,
         states=tuple(tick.state for tick in ticks), steps=tuple(tick.step for tick in ticks), pictures=pictures,
+        acted=acted_by(reader) if is_shared(reader) else (),
     )  # fmt: skip
 
 
@@ -153,6 +163,10 @@ def marks(film: Film, verdicts: Sequence[Verdict] | None = None) -> tuple[Mark, 
                 found.append(Mark(seq=state.seq, name=f"failed: {verdict.reason}"))
             reason = verdict.reason
         was = verdict.success
+    for number, (before, who) in enumerate(itertools.pairwise(film.actors), start=1):
+        if before != who:
+            found.append(Mark(seq=number, name=f"{who} takes over"))
+    found.sort(key=lambda mark: mark.seq)
     return (Mark(seq=0, name="start"), *found, Mark(seq=len(film) - 1, name=f"end: {ending(film)}"))
 
 

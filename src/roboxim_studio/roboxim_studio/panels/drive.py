@@ -8,16 +8,21 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.episode import EpisodeStep
-from roboxim_core.errors import RoboximError
+from roboxim_core.episode import Draw, EpisodeStep
+from roboxim_core.errors import ConfigError, PolicyError, RoboximError
 from roboxim_core.poses import Pose
+from roboxim_core.seeds import SeedPath
 from roboxim_core.state import StateRecord
+from roboxim_recorder.acted import ActedBy
 from roboxim_runs.episodes.task_choice import task_text
-from roboxim_studio.acting.drive import Drive, next_index
+from roboxim_studio.acting.drive import Drive, continued, next_index
 from roboxim_studio.acting.lab import Lab
+from roboxim_studio.acting.partner import Partner
 from roboxim_studio.acting.steering import (
     GRIPPER,
     GRIPPER_BUTTON,
+    HAND,
+    HAND_BUTTON,
     HELP,
     KEEP,
     KEEP_BUTTON,
@@ -28,6 +33,7 @@ from roboxim_studio.acting.steering import (
     action_of,
     moves,
 )
+from roboxim_studio.acting.what_if import EXPERT
 from roboxim_studio.bench import Bench
 from roboxim_studio.editing.document import as_yaml
 from roboxim_studio.episode.film import Film, ending
@@ -41,7 +47,9 @@ FOLDER = "teleoperation"
 """Folder below the studio's that bags are written to, unless the command line names another."""
 SILENT_S = 0.5
 """Time without a word from a page after which its keys count as released [s]."""
-DRAWN, EDITED = "the task's next scene", "the edited scene"
+DRAWN, EDITED, OPENED = "the task's next scene", "the edited scene", "the open episode, from its tick"
+NOBODY = "nobody"
+HAND_HELP = "T: take over, or hand back"
 
 
 class DrivePanel:
@@ -49,7 +57,7 @@ class DrivePanel:
 
     def __init__(
         self, site: Site, view: SceneView, bench: Bench, lab: Lab, editor: EditorPanel, compose: ComposePanel,
-        folder: Path, watch: Callable[[Film], None],
+        folder: Path, watch: Callable[[Film], None], opened: Callable[[], tuple[Film | None, int]],
     ) -> None:  # fmt: skip
         """Build the panel in the current container.
 
@@ -62,12 +70,13 @@ class DrivePanel:
             compose: Gives the task, the seed and the index.
             folder: Folder of the bags.
             watch: Called with an episode that was kept.
+            opened: Returns the episode that is open in the studio, and the tick that it shows.
         """
         self._site, self._gui, self._view = site, site.viser.gui, view
         self._bench, self._lab, self._editor, self._compose = bench, lab, editor, compose
         self.bags = folder
         """Folder of the bags."""
-        self._watch = watch
+        self._watch, self._opened = watch, opened
         self.drive: Drive | None = None
         """The episode; none: none was begun."""
         self._heard: dict[int, tuple[float, Mapping[str, Any]]] = {}
@@ -85,15 +94,21 @@ class DrivePanel:
         gui = self._gui
         self.folder = gui.add_folder("Drive", visible=False)
         with self.folder:
-            self._source = gui.add_dropdown("Scene", (DRAWN, EDITED), initial_value=DRAWN)
+            self._source = gui.add_dropdown("Scene", (DRAWN, EDITED, OPENED), initial_value=DRAWN)
+            self._partner: Any = gui.add_dropdown(
+                "Acts with you", (NOBODY, EXPERT, *lab.policies), initial_value=NOBODY,
+                hint="Begins the episode; take over and hand back with T.",
+            )  # fmt: skip
             self._waits = gui.add_checkbox("Time stands still when nothing is held", initial_value=True)
             self._speed = gui.add_slider("Speed [m/s]", 0.02, 0.4, 0.01, 0.2)
             start = gui.add_button("Begin an episode")
             buttons = gui.add_button_group("Then", ("End and keep", "Throw away", "Watch it"))
+            hand = gui.add_button("Take over, or hand back")
             self._told = gui.add_html(markup.paragraph(HELP, "drive"))
             self._lamps = gui.add_html("")
             self._pictures = gui.add_folder("Cameras")
         start.on_click(lambda _: self.begin() and None)
+        hand.on_click(lambda _: self.key(HAND))
         buttons.on_click(lambda event: self._button(str(event.target.value)))
         threading.Thread(target=self._tick, name="driver", daemon=True).start()
 
@@ -105,19 +120,17 @@ class DrivePanel:
 
     def _begin(self) -> Drive | None:
         self.leave()
-        desk = self._editor.desk
-        edited = self._source.value == EDITED and desk is not None
         seed = self._compose.seed
         index = next_index(self.bags, seed)
         seed = type(seed)(run_seed=seed.run_seed, purpose=seed.purpose, index=index)
         self._tell(f"drawing index {index} ...")
         try:
-            assert desk is not None or not edited
-            text = as_yaml(desk.document) if edited and desk is not None else task_text(self._compose.chosen)
-            draw = self._lab.draw(text, seed)
+            chosen = str(self._partner.value)
+            partner = None if chosen == NOBODY else Partner(chosen, self._lab.actor(chosen))
+            draw, after = self._scene(seed)
             self._view.load(draw.scene)
             self._judging = []
-            drive = Drive(self._lab.graph, draw, seed, self.bags, on_tick=self._shown)
+            drive = Drive(self._lab.graph, draw, seed, self.bags, on_tick=self._shown, partner=partner, after=after)
         except RoboximError as error:
             self._tell(str(error), alert=True)
             return None
@@ -125,10 +138,37 @@ class DrivePanel:
             self.drive, self._ending, self._target = drive, "", None
             self._base, self._opening = draw.scene.robot.pose, drive.state.robot.gripper_command
             self._place_gizmo(drive.state.robot.pose_tcp_commanded)
-        self._tell(f"{draw.task.instruction}\n{HELP}")
+        self._tell(f"{draw.task.instruction}\n{HELP}" + (f"\n{HAND_HELP}" if partner else ""))
         self._site.tell(driving=True, hint=draw.task.instruction, alert="")
+        self._say_who(drive)
         self._running.set()
         return drive
+
+    def _scene(self, seed: SeedPath) -> tuple[Draw, list[tuple[StateRecord, ActedBy]]]:
+        """Return the chosen task and scene, and the states that are executed before the person acts."""
+        desk, (film, tick) = self._editor.desk, self._opened()
+        if self._source.value == OPENED:
+            if film is None:
+                raise ConfigError("no episode is open; open one in 'Episode', or choose another scene")
+            return continued(film, tick)
+        edited = self._source.value == EDITED and desk is not None
+        text = as_yaml(desk.document) if edited and desk is not None else task_text(self._compose.chosen)
+        return self._lab.draw(text, seed), []
+
+    def _hand(self, drive: Drive, *, to_partner: bool, why: str = "") -> None:
+        """Give control to the partner or to the person; on the bench."""
+        if drive is not self.drive or drive.result is not None:
+            return
+        with self._lock:
+            self._target, self._opening = None, drive.state.robot.gripper_command
+        drive.hand(to_partner=to_partner)
+        self._say_who(drive, why)
+
+    def _say_who(self, drive: Drive, why: str = "") -> None:
+        if drive.partner is None:
+            return
+        who = f"{drive.partner.name} acts; T: take over" if drive.partner_acts else "you act; T: hand back"
+        self._site.tell(hint=f"{drive.instruction}\n{who}", alert=why)
 
     def leave(self) -> None:
         """Set a running episode apart; on the bench."""
@@ -174,7 +214,7 @@ class DrivePanel:
                 before = self._last_buttons.get(page, ())
                 self._last_buttons[page] = buttons
         if "held" in message:
-            for button, code in ((GRIPPER_BUTTON, GRIPPER), (KEEP_BUTTON, KEEP), (THROW_BUTTON, THROW)):
+            for button, code in BUTTONS.items():
                 if _pressed(buttons, button) and not _pressed(before, button):
                     self.key(code)
 
@@ -185,6 +225,9 @@ class DrivePanel:
         with self._lock:
             if code == GRIPPER:
                 self._opening = 0.0 if self._opening > 0.5 else 1.0
+            elif code == HAND:
+                drive = self.drive
+                self._bench.do(lambda: self._hand(drive, to_partner=not drive.partner_acts))
             elif code in (KEEP, THROW):
                 if self._running.is_set():
                     self._ending = code
@@ -243,6 +286,9 @@ class DrivePanel:
         if self._ending == THROW:
             self._throw()
             return
+        if drive.partner_acts:
+            self._partner_advance(drive)
+            return
         state, steering = drive.state, self.steering()
         commanded = self._base.inverse() @ state.robot.pose_tcp_commanded
         speeds = Speeds(translation_m_s=float(self._speed.value))
@@ -255,6 +301,14 @@ class DrivePanel:
             self._target = None
         if not drive.step(action, last=last):
             self._ended(drive)
+
+    def _partner_advance(self, drive: Drive) -> None:
+        """Let the partner act; if it cannot, the person has control."""
+        try:
+            if not drive.partner_step(last=self._ending == KEEP):
+                self._ended(drive)
+        except PolicyError as error:
+            self._hand(drive, to_partner=False, why=f"{error}\nYou have control.")
 
     def _last_opening(self, drive: Drive) -> float:
         before = self._judging[-2] if len(self._judging) > 1 else drive.state
@@ -286,7 +340,8 @@ class DrivePanel:
             pose = state.robot.pose_tcp_commanded
             self._gizmo.position, self._gizmo.wxyz = pose.position, wxyz(pose)
         self._lamps.content = markup.paragraph(
-            f"tick {state.seq}   {'solved' if step.verdict.success else step.verdict.reason}", "drive-verdict"
+            f"tick {state.seq}   {'solved' if step.verdict.success else step.verdict.reason}{self._who()}",
+            "drive-verdict",
         )
         for name, image in images.items():
             if name in self._images:
@@ -295,8 +350,19 @@ class DrivePanel:
                 with self._pictures:
                     self._images[name] = self._gui.add_image(image, label=name, jpeg_quality=85)
 
+    def _who(self) -> str:
+        """Return who acts, for the panel; empty when the person is alone."""
+        drive = self.drive
+        if drive is None or drive.partner is None:
+            return ""
+        return f"   {drive.partner.name if drive.partner_acts else 'you'} act{'s' if drive.partner_acts else ''}"
+
     def _tell(self, text: str, *, alert: bool = False) -> None:
         self._told.content = markup.paragraph(text, "drive", alert=alert)
+
+
+BUTTONS = {GRIPPER_BUTTON: GRIPPER, HAND_BUTTON: HAND, KEEP_BUTTON: KEEP, THROW_BUTTON: THROW}
+"""Button of a gamepad to the key that does the same."""
 
 
 def _pressed(buttons: tuple[float, ...], button: int) -> bool:

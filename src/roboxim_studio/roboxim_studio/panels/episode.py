@@ -143,7 +143,7 @@ class EpisodePanel:
             if film is None or judgement is None or self._hidden:
                 return
             self.tick = seq = min(max(seq, 0), len(film) - 1)
-            state, step, verdict = film.states[seq], film.steps[seq], judgement.verdicts[seq]
+            state, verdict = film.states[seq], judgement.verdicts[seq]
             images = film.pictures.at(seq)
             self._shown_pictures = (seq, frozenset(images))
             self._view.show(state, images)
@@ -152,7 +152,7 @@ class EpisodePanel:
             outcome = "solved" if verdict.success else f"failed: {verdict.reason}" if verdict.failed else verdict.reason
             self._state.content = markup.facts(
                 [
-                    ("tick", f"{seq} of {len(film) - 1}, {state.stamp_ns / 1e9:.2f} s"), ("phase", step.phase),
+                    ("tick", f"{seq} of {len(film) - 1}, {state.stamp_ns / 1e9:.2f} s"), ("phase", _phase(film, seq)),
                     ("verdict", outcome), ("state hash", state.state_hash),
                     ("contacts", _contacts(state) or "none"),
                 ],
@@ -268,6 +268,12 @@ class EpisodePanel:
                 return
             if film.pictures.at(self.tick).keys() - self._shown_pictures[1]:
                 self.show(self.tick)
+
+
+def _phase(film: Film, seq: int) -> str:
+    """Return the phase of a tick, and who acted to reach it if several did."""
+    phase = film.steps[seq].phase
+    return f"{phase}, by {film.acted[seq - 1]}" if 0 < seq <= len(film.acted) else phase
 
 
 def _contacts(state: Any) -> str:

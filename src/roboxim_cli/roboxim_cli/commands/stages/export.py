@@ -122,8 +122,8 @@ def _export(
 ) -> None:  # fmt: skip
     from roboxim_cli.options import parse_counts, parse_size
     from roboxim_cli.printer import EventPrinter
+    from roboxim_datasets.where import with_files
     from roboxim_recorder.export import EXPORTERS
-    from roboxim_recorder.export.where import with_files
     from roboxim_runs.datasets.export import export_dataset
     from roboxim_runs.storage.store import local_sources, upload_dataset
 

@@ -1,0 +1,221 @@
+"""Conditions that choose episodes: ``skill=pick_up``, ``target.color!=red``, ``steps<100``.
+
+A condition is KEY, an operator, and a value. `=` and `!=` take several values, separated by commas: one of them, or
+none of them; ``*`` and ``?`` in a value stand for any characters. ``<``, ``<=``, ``>`` and ``>=`` compare numbers.
+Several conditions hold together.
+
+A selection file (``@FILE``) may also edit episodes, the source untouched: ``trim EPISODE FIRST..LAST`` keeps these
+steps, both included and counted from 0; ``relabel EPISODE WORDS`` gives it another instruction. There is no other
+syntax.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import operator
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from roboxim_core.errors import InvalidRequestError, one_of, printable
+from roboxim_core.plain_data.documents import read_text
+
+Fact = tuple[str, ...]
+"""Values of a key, as text; several if the episode has several, e.g. of ``object``."""
+_CONDITION = re.compile(r"\s*([A-Za-z_][\w.]*)\s*(!=|<=|>=|=|<|>)\s*(.*?)\s*")
+_EDIT = re.compile(r"\s*(trim|relabel)\s+([\w.:/-]+)\s+([^=].*?)\s*")
+_STEPS = re.compile(r"(\d{1,9})\.\.(\d{1,9})")
+_ORDER: dict[str, Callable[[float, float], bool]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Condition:
+    """One condition."""
+
+    key: str
+    """Key of a fact."""
+    sign: str
+    """The operator."""
+    values: tuple[str, ...]
+    """Values to compare with; one for an order comparison."""
+
+    @staticmethod
+    def parse(text: str) -> Condition:
+        """Read a condition.
+
+        Raises:
+            InvalidRequestError: When the text is not a condition.
+        """
+        found = _CONDITION.fullmatch(text)
+        if not found or not found[3]:
+            raise InvalidRequestError(
+                f"a condition is KEY=VALUE, e.g. skill=pick_up, target.color!=red,blue or steps<100; got '{text}'"
+            )
+        key, sign, value = found.groups()
+        values = tuple(part.strip() for part in value.split(",")) if sign in ("=", "!=") else (value,)
+        if sign in _ORDER and _number(value) is None:
+            raise InvalidRequestError(f"condition '{text}': '{sign}' compares numbers, got '{value}'")
+        return Condition(key=key, sign=sign, values=values)
+
+    def holds(self, facts: Mapping[str, Fact]) -> bool:
+        """Return whether an episode meets the condition; an episode without the key meets only ``!=``."""
+        found = facts.get(self.key, ())
+        if self.sign in _ORDER:
+            wanted = float(self.values[0])
+            numbers = [number for value in found if (number := _number(value)) is not None]
+            return any(_ORDER[self.sign](number, wanted) for number in numbers)
+        matches = any(_matches(value, pattern) for value in found for pattern in self.values)
+        return matches if self.sign == "=" else not matches
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edit:
+    """A change of one episode."""
+
+    episode: str
+    """Id of the episode."""
+    steps: tuple[int, int] | None = None
+    """First and last step to keep; None: all."""
+    instruction: str = ""
+    """New instruction; empty: as recorded."""
+
+    @staticmethod
+    def parse(text: str) -> Edit | None:
+        """Read an edit; None when the text is none, so that it must be a condition.
+
+        Raises:
+            InvalidRequestError: When it begins like an edit and is none.
+        """
+        found = _EDIT.fullmatch(text)
+        if not found:
+            return None
+        kind, episode, rest = found.groups()
+        if kind == "relabel":
+            if not rest.isprintable():
+                raise InvalidRequestError(f"'{printable(text, 120)}': an instruction has printable characters only")
+            return Edit(episode=episode, instruction=rest)
+        steps = _STEPS.fullmatch(rest)
+        if not steps or int(steps[1]) > int(steps[2]):
+            raise InvalidRequestError(f"an edit is 'trim EPISODE FIRST..LAST', e.g. trim {episode} 5..40; got '{text}'")
+        return Edit(episode=episode, steps=(int(steps[1]), int(steps[2])))
+
+    def require_within(self, length: int) -> tuple[int, int]:
+        """Return the steps to keep of an episode with a number of steps.
+
+        Raises:
+            InvalidRequestError: When it has fewer steps.
+        """
+        first, last = self.steps or (0, length - 1)
+        if last >= length:
+            raise InvalidRequestError(f"trim {self.episode} {first}..{last}: the episode has the steps 0..{length - 1}")
+        return first, last
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Conditions and edits together."""
+
+    conditions: tuple[tuple[str, Condition], ...] = ()
+    """Each condition with its text."""
+    edits: Mapping[str, Edit] = field(default_factory=dict)
+    """Episode to its edit."""
+
+    @staticmethod
+    def parse(texts: Iterable[str]) -> Choice:
+        """Read conditions and edits; of two edits of one kind and episode the later one counts.
+
+        Raises:
+            InvalidRequestError: On a text that is neither.
+        """
+        conditions: list[tuple[str, Condition]] = []
+        edits: dict[str, Edit] = {}
+        for text in texts:
+            edit = Edit.parse(text)
+            if edit is None:
+                conditions.append((text, Condition.parse(text)))
+                continue
+            before = edits.get(edit.episode, edit)
+            edits[edit.episode] = Edit(
+                episode=edit.episode, steps=edit.steps or before.steps,
+                instruction=edit.instruction or before.instruction,
+            )  # fmt: skip
+        return Choice(conditions=tuple(conditions), edits=edits)
+
+    def require_known(self, episodes: Sequence[Mapping[str, Fact]]) -> None:
+        """Refuse conditions and edits that no episode can be meant by.
+
+        Raises:
+            InvalidRequestError: Naming the keys, values or episodes that occur.
+        """
+        require_known([condition for _, condition in self.conditions], episodes)
+        names = {name for facts in episodes for name in facts.get("episode", ())}
+        for name in self.edits:
+            if name not in names:
+                raise InvalidRequestError(f"no episode '{name}' to edit; {one_of(names, name)}")
+
+    def refusal(self, facts: Mapping[str, Fact]) -> str:
+        """Return the text of the first condition that an episode does not meet; empty: it meets all."""
+        return next((text for text, condition in self.conditions if not condition.holds(facts)), "")
+
+
+def with_files(texts: Iterable[str]) -> tuple[str, ...]:
+    """Return conditions and edits, ``@FILE`` replaced by the file's lines; empty lines and ``#`` are comments.
+
+    Raises:
+        ConfigError: When a file cannot be read.
+        InvalidRequestError: When a line is neither; names the line.
+    """
+    found: list[str] = []
+    for text in texts:
+        if not text.startswith("@"):
+            found.append(text)
+            continue
+        for number, line in enumerate(read_text(text[1:]).splitlines(), start=1):
+            if not (condition := line.strip()) or condition.startswith("#"):
+                continue
+            try:
+                Choice.parse([condition])
+            except InvalidRequestError as error:
+                raise InvalidRequestError(f"{text[1:]} line {number}: {error}") from None
+            found.append(condition)
+    return tuple(found)
+
+
+def require_known(conditions: Sequence[Condition], episodes: Iterable[Mapping[str, Fact]]) -> None:
+    """Refuse conditions with a key, or a value of ``=``, that occurs in no episode: most likely a misspelling.
+
+    Raises:
+        InvalidRequestError: Naming the keys or values that occur.
+    """
+    occurring: dict[str, set[str]] = {}
+    for facts in episodes:
+        for key, values in facts.items():
+            occurring.setdefault(key, set()).update(values)
+    for condition in conditions:
+        if condition.key not in occurring:
+            raise InvalidRequestError(f"no episode has '{condition.key}'; {one_of(occurring, condition.key)}")
+        if condition.sign != "=":
+            continue
+        known = occurring[condition.key]
+        for pattern in condition.values:
+            if not any(_matches(value, pattern) for value in known):
+                raise InvalidRequestError(f"no episode has {condition.key}={pattern}; {one_of(known, pattern)}")
+
+
+def _matches(value: str, pattern: str) -> bool:
+    if any(sign in pattern for sign in "*?"):
+        return fnmatch.fnmatchcase(value, pattern.replace("[", "[[]"))
+    numbers = _number(value), _number(pattern)
+    return value == pattern or (None not in numbers and numbers[0] == numbers[1])
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
