@@ -45,6 +45,18 @@ class Place:
     """Its split."""
     index: int
     """Its number in the split."""
+    change: Callable[[Episode], Episode] = lambda episode: episode
+    """Changes what is read of it."""
+    changed: str = ""
+    """What the change is; empty: none."""
+
+    def read(self) -> Episode:
+        """Read the episode, with its change.
+
+        Raises:
+            RecorderError: With code ``BAG_DAMAGED``, naming the file.
+        """
+        return self.change(self.dataset.read(self.split, self.index))
 
 
 Plan = Mapping[str, Sequence[Place]]
@@ -181,7 +193,7 @@ def write_dataset(
             for number, place in enumerate(plan[split]):
                 where = f"{place.dataset.path}, {place.split}[{place.index}]"
                 with reading(where):
-                    episode = place.dataset.read(place.split, place.index)
+                    episode = place.read()
                 _require_new(episode.episode_id, seen, place.dataset)
                 if number >= skip[split]:
                     writer.add(split, _checked(episode, where))
@@ -411,7 +423,9 @@ def _identity(plan: Plan, sources: Sequence[Dataset], format: str, options: Any,
     for source in sources:
         found.update(fingerprint(source).encode())
     for split, places in plan.items():
-        found.update(f"{split} {[(numbers[p.dataset], p.split, p.index) for p in places]}".encode())
+        found.update(
+            f"{split} {[(numbers[p.dataset], p.split, p.index, *filter(None, [p.changed])) for p in places]}".encode()
+        )
     return found.hexdigest()
 
 

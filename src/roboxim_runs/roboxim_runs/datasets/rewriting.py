@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_core.errors import ConfigError
+from roboxim_datasets.choosing import chosen_plan
 from roboxim_datasets.compare import LOWEST_PSNR_DB, Comparison, Images, compare
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.formats import open_dataset
@@ -27,6 +28,7 @@ def convert_dataset(
     *,
     fps: float = 0.0,
     instruction: str = "",
+    where: Sequence[str] = (),
     overwrite: bool = False,
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
@@ -40,6 +42,7 @@ def convert_dataset(
         options: Options of the format; None: the defaults.
         fps: Steps per second of a source that does not say it; 0: unknown.
         instruction: What was done in a bag of a driven graph, which does not say it.
+        where: Conditions and edits, see `roboxim_datasets.choosing.chosen_plan`; empty: every episode as it is.
         overwrite: Replace an existing dataset.
         on_event: Receives the run's events.
         cancellation: Ends the conversion when it is set.
@@ -51,7 +54,8 @@ def convert_dataset(
         RecorderError: ``EXPORT_REFUSED`` when the target exists or lies in the source; ``BAG_DAMAGED`` when the source
             cannot be read.
     """
-    plan = plan_of(_opened(Path(source), instruction))
+    opened = _opened(Path(source), instruction)
+    plan = chosen_plan(opened, where) if where else plan_of(opened)
     reporter = Reporter(on_event, cancellation)
     return _write(plan, Path(target), format, options, "convert", reporter, overwrite=overwrite, fps=fps)
 

@@ -55,8 +55,12 @@ class _Formats(strict.Group):
         own = field_options(options)
         doc = (FORMATS[cmd_name].__doc__ or "").splitlines()[0]
 
-        def convert(source: Path, out: Path, overwrite: bool, fps: float, instruction: str, **given: Any) -> None:
-            more = {"fps": fps, "instruction": instruction, "overwrite": overwrite}
+        def convert(
+            source: Path, out: Path, overwrite: bool, fps: float, instruction: str, where: tuple[str, ...], **given: Any
+        ) -> None:
+            from roboxim_datasets.where import with_files
+
+            more = {"fps": fps, "instruction": instruction, "overwrite": overwrite, "where": with_files(where)}
             _convert(cmd_name, options(**given), source, out, **more)
 
         params: list[click.Parameter] = [
@@ -67,6 +71,10 @@ class _Formats(strict.Group):
             click.Option(
                 ["--instruction"], default="", metavar="TEXT",
                 help="What was done in a bag of 'roboxim bag record', which becomes a dataset, too.",
+            ),
+            click.Option(
+                ["--where"], multiple=True, metavar="CONDITION",
+                help="Episodes to take, e.g. outcome=success; or an edit of one; @FILE: a selection file.",
             ),
             click.Option(["--overwrite"], is_flag=True, help="Replace an existing dataset."),
         ]  # fmt: skip

@@ -1,0 +1,87 @@
+"""Chooses and edits episodes of a dataset by conditions and edits; the source is only read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+
+from roboxim_core.errors import ErrorCode, RecorderError
+from roboxim_datasets.dataset import Dataset
+from roboxim_datasets.episode import Episode, Step, Wanted
+from roboxim_datasets.rewrite import Place, plan_of
+from roboxim_datasets.where import Choice, Edit, Fact
+
+
+def chosen_plan(dataset: Dataset, texts: Iterable[str]) -> dict[str, list[Place]]:
+    """Return the plan that keeps the episodes that meet conditions, each in its split, with its edits.
+
+    Args:
+        dataset: The dataset.
+        texts: Conditions and edits, see `roboxim_datasets.where`. An episode is named by its id or by its split and
+            number, e.g. ``train/3``.
+
+    Raises:
+        InvalidRequestError: On a condition or an edit that no episode can be meant by, or of more steps than it has.
+        RecorderError: ``EXPORT_REFUSED`` when no episode is left; ``BAG_DAMAGED`` when one cannot be read.
+    """
+    choice = Choice.parse(texts)
+    places = plan_of(dataset)
+    known = {split: [facts_of(place) for place in group] for split, group in places.items()}
+    choice.require_known([facts for group in known.values() for facts in group])
+    found: dict[str, list[Place]] = {}
+    for split, group in places.items():
+        for place, facts in zip(group, known[split], strict=True):
+            if choice.refusal(facts):
+                continue
+            edit = next((choice.edits[name] for name in facts["episode"] if name in choice.edits), None)
+            if edit is not None:
+                edit.require_within(int(facts["steps"][0]))
+                place = replace(place, change=partial(edited, edit=edit), changed=str(edit))
+            found.setdefault(split, []).append(place)
+    if not found:
+        raise RecorderError(f"no episode of {dataset.path} meets the conditions; change them", ErrorCode.EXPORT_REFUSED)
+    return found
+
+
+def facts_of(place: Place) -> dict[str, Fact]:
+    """Return what conditions can compare of an episode: what the dataset says of it."""
+    episode = place.read()
+    outcome = {True: "success", False: "failure", None: "unknown"}[episode.success]
+    metadata = {name: (str(value),) for name, value in episode.metadata.items() if name != "task"}
+    name = f"{place.split}/{place.index}"
+    return metadata | {
+        "episode": (episode.episode_id, name) if episode.episode_id else (name,),
+        "split": (place.split,),
+        "instruction": (episode.instruction,),
+        "outcome": (outcome,),
+        "steps": (str(episode.length),),
+        "robot": (episode.robot,),
+    }
+
+
+def edited(episode: Episode, edit: Edit) -> Episode:
+    """Return an episode with an edit applied; one whose end is cut off does not count as solved.
+
+    Raises:
+        InvalidRequestError: When it has fewer steps than it keeps.
+    """
+    first, last = edit.require_within(episode.length)
+    words, read = edit.instruction, episode.read
+
+    def steps(wanted: Wanted) -> Iterator[Step]:
+        for step in read(wanted):
+            if step.index > last:
+                return
+            if step.index >= first:
+                yield replace(
+                    step, index=step.index - first, instruction=None if words else step.instruction,
+                    subtask=None if words else step.subtask,
+                )  # fmt: skip
+
+    cut = last < episode.length - 1
+    return replace(
+        episode, read=steps, length=last - first + 1, success=False if cut and episode.success else episode.success,
+        instruction=words or episode.instruction, instructions=() if words else episode.instructions,
+        subtasks=() if words else episode.subtasks,
+    )  # fmt: skip

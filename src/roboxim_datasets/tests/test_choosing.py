@@ -1,0 +1,49 @@
+"""Episodes of a dataset are chosen, trimmed and relabelled while it is converted; the source stays."""
+
+import numpy as np
+import pytest
+
+from roboxim_core.errors import InvalidRequestError, RecorderError
+from roboxim_datasets.choosing import chosen_plan
+from roboxim_datasets.formats import open_dataset
+from roboxim_datasets.rewrite import write_dataset
+from roboxim_datasets.where import Choice, Edit
+
+
+@pytest.mark.parametrize("format", ["rlds", "hdf5"])
+def test_a_selection_chooses_trims_and_relabels(tmp_path, write, format):
+    source = write(tmp_path / "a", [0, 1, 2], val=[3])
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    texts = ["episode!=demo-1", "trim demo-0 1..2", "relabel train/2 Push it", "trim demo-3 0..1"]
+    written = write_dataset(chosen_plan(source, texts), tmp_path / "b", format, how="convert")
+    made = {episode.episode_id: episode for episode in open_dataset(written.path).episodes()}
+    whole = {episode.episode_id: episode for episode in source.episodes()}
+    assert sorted(made) == ["demo-0", "demo-2", "demo-3"]
+    assert np.array_equal(made["demo-0"].actions(), whole["demo-0"].actions()[1:3])
+    assert made["demo-2"].instruction == "Push it"
+    assert made["demo-0"].instruction == whole["demo-0"].instruction
+    assert made["demo-3"].length == 2
+    assert made["demo-3"].success is False
+    assert {file: file.read_bytes() for file in before} == before
+
+
+def test_selections_that_mean_no_episode_are_refused(tmp_path, write):
+    source = write(tmp_path / "a", [0, 1])
+    with pytest.raises(InvalidRequestError, match="no episode 'demo-7' to edit.*demo-0"):
+        chosen_plan(source, ["trim demo-7 0..1"])
+    with pytest.raises(InvalidRequestError, match=r"has the steps 0\.\."):
+        chosen_plan(source, ["trim demo-0 0..999"])
+    with pytest.raises(RecorderError, match="no episode of"):
+        chosen_plan(source, ["episode!=demo-0,demo-1"])
+
+
+@pytest.mark.parametrize("text", ["trim demo-0", "trim demo-0 5..4", "trim demo-0 a..b", "relabel demo-0 a\x07b"])
+def test_an_edit_that_makes_no_sense_is_refused(text):
+    with pytest.raises(InvalidRequestError):
+        Choice.parse([text])
+
+
+def test_edits_of_one_episode_add_up():
+    choice = Choice.parse(["trim a 1..2", "relabel a b = c", "relabel=x", "trim a 2..3"])
+    assert choice.edits == {"a": Edit(episode="a", steps=(2, 3), instruction="b = c")}
+    assert [text for text, _ in choice.conditions] == ["relabel=x"]
