@@ -135,6 +135,8 @@ class Dataset(ABC):
     """Registered name of the format."""
     version: str = ""
     """Version of the format, if it has versions."""
+    depth_unit_m = 0.0
+    """Unit of depth that a user stated of a dataset that does not say it [m]; 0: none was stated."""
 
     def __init__(self, path: Path) -> None:
         """Open a dataset.

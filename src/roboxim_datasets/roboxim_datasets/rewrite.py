@@ -432,7 +432,7 @@ def _identity(plan: Plan, sources: Sequence[Dataset], format: str, options: Any,
 def fingerprint(dataset: Dataset) -> str:
     """Return a hash of a dataset's files: their names, sizes and times."""
     files = [dataset.path] if dataset.path.is_file() else sorted(p for p in dataset.path.rglob("*") if p.is_file())
-    found = hashlib.blake2b(digest_size=16)
+    found = hashlib.blake2b(f"{dataset.depth_unit_m}".encode() if dataset.depth_unit_m else b"", digest_size=16)
     for file in files:
         about = file.stat()
         found.update(f"{file.relative_to(dataset.folder)} {about.st_size} {about.st_mtime_ns}\n".encode())

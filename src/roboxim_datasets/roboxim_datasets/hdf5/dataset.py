@@ -34,6 +34,10 @@ class Hdf5Format:
         """Open a dataset."""
         return Hdf5Dataset(path)
 
+    def open_with_depth(self, path: Path, unit_m: float) -> Dataset:
+        """Open a dataset of others whose depth images have a stated unit [m]."""
+        return Hdf5Dataset(path, depth_unit_m=unit_m)
+
     def path(self, target: Path, options: Hdf5Options) -> Path:
         """Return the target: the dataset is this folder."""
         return target

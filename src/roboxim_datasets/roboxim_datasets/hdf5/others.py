@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from roboxim_datasets.depth import camera_of, is_named_depth
 from roboxim_datasets.episode import ImageSize
 from roboxim_datasets.hdf5.tree import problem_of
 from roboxim_datasets.pictures import MOST_PIXELS
@@ -64,10 +65,26 @@ def reason_not_read(path: str, array: Array) -> str:
         return "" if len(array.shape) <= 1 and 0 < array.size <= _MOST_NUMBERS else f"actions of shape {array.shape}"
     if not path.startswith("obs/"):
         return "not an observation"
+    if is_depth(path, array):
+        return _reason_no_depth(array)
     if len(array.shape) == 3:
         return _reason_no_image(array)
     if not 0 < array.size <= _MOST_NUMBERS:
         return f"{array.size} numbers a step; at most {_MOST_NUMBERS} are read as a vector"
+    return ""
+
+
+def is_depth(path: str, array: Array) -> bool:
+    """Return whether an array holds depth images: by its name, its shape (H, W) or (H, W, 1), and a type of depth."""
+    flat = len(array.shape) == 2 or (len(array.shape) == 3 and array.shape[2] == 1)
+    return is_named_depth(path) and path.startswith("obs/") and flat and min(array.shape[:2]) > 4
+
+
+def _reason_no_depth(array: Array) -> str:
+    if not array.dtype.startswith(("float", "uint16", "int", "uint32")):
+        return f"depth images of {array.dtype}"
+    if not 0 < array.size <= MOST_PIXELS:
+        return f"depth images of {array.size} pixels; 1 to {MOST_PIXELS} are read"
     return ""
 
 
@@ -88,17 +105,19 @@ class Layout:
 
     shapes: Mapping[str, Shape]
     """Path of an array that is read to the shape of its rows; ``actions`` is among them."""
+    depth: Mapping[str, str]
+    """Path of depth images that are read to the camera."""
 
     @property
     def cameras(self) -> dict[str, str]:
         """Path of a camera's images to the camera."""
-        keys = [path for path, shape in self.shapes.items() if len(shape) == 3]
-        return _named(keys, ("_image", "_rgb"))
+        return cameras_of(path for path, shape in self.shapes.items() if len(shape) == 3 and path not in self.depth)
 
     @property
     def vectors(self) -> dict[str, str]:
         """Path of an observed vector to its name."""
-        return _named([path for path, shape in self.shapes.items() if len(shape) < 3 and path != _ACTIONS], ())
+        others = {_ACTIONS, *self.depth}
+        return _named([path for path, shape in self.shapes.items() if len(shape) < 3 and path not in others], ())
 
     def sizes(self) -> dict[str, ImageSize]:
         """Return the size of the images by path."""
@@ -124,8 +143,18 @@ class Layout:
         return ""
 
 
-def layout_of(episodes: Mapping[str, Mapping[str, Array]]) -> Layout:
-    """Return the layout of a file from what its episodes have; without ``actions`` if none has any."""
+def cameras_of(paths: Iterable[str]) -> dict[str, str]:
+    """Return the cameras of images by path."""
+    return _named(list(paths), ("_image", "_rgb"))
+
+
+def layout_of(episodes: Mapping[str, Mapping[str, Array]], *, depth: bool = False) -> Layout:
+    """Return the layout of a file from what its episodes have; without ``actions`` if none has any.
+
+    Args:
+        episodes: Name to the arrays.
+        depth: Whether depth images are read, as their unit is known; only those of a colour camera of their size are.
+    """
     usable = [found for found in episodes.values() if _ACTIONS in found and found[_ACTIONS].length]
     counts: Counter[tuple[str, Shape]] = Counter(
         (path, array.shape)
@@ -137,8 +166,14 @@ def layout_of(episodes: Mapping[str, Mapping[str, Array]]) -> Layout:
     for (path, shape), count in counts.most_common():
         if 2 * count >= len(usable) or path == _ACTIONS:
             shapes.setdefault(path, shape)
-    order = [path for found in usable for path in found]
-    return Layout(shapes={path: shapes[path] for path in dict.fromkeys(order) if path in shapes})
+    deep = {path for found in usable for path, array in found.items() if path in shapes and is_depth(path, array)}
+    colours = cameras_of(path for path, shape in shapes.items() if len(shape) == 3 and path not in deep)
+    sizes = {camera: shapes[path][:2] for path, camera in colours.items()}
+    of = {path: camera_of(path.removeprefix("obs/"), colours.values()) for path in sorted(deep)} if depth else {}
+    of = {path: camera for path, camera in of.items() if camera and shapes[path][:2] == sizes[camera]}
+    of = {path: camera for path, camera in of.items() if list(of.values()).count(camera) == 1}
+    order = [path for found in usable for path in found if path not in deep or path in of]
+    return Layout(shapes={path: shapes[path] for path in dict.fromkeys(order) if path in shapes}, depth=of)
 
 
 def changed(path: str, array: Array) -> str:

@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError
 from roboxim_core.plain_data.documents import parse_json, read_json_object
 from roboxim_datasets.account import Account
 from roboxim_datasets.dataset import Dataset, Description, Features
 from roboxim_datasets.episode import EXECUTED, Episode, ImageSize, Step, Wanted, solved
 from roboxim_datasets.files import file_in, has_file, reading
 from roboxim_datasets.hdf5.layout import ATTRIBUTE, INSTRUCTIONS, MASKS, STATISTICS_FILE, SUBTASKS, Hdf5Content
-from roboxim_datasets.hdf5.others import Array, arrays, changed, finite_rate, layout_of, reason_not_read
+from roboxim_datasets.hdf5.others import Array, arrays, changed, finite_rate, is_depth, layout_of, reason_not_read
 from roboxim_datasets.hdf5.tree import attributes, leaves, numbers, opened, problem_of, require_no_external_links
 from roboxim_datasets.hdf5.tree import text_of as _text
 
@@ -46,19 +46,22 @@ class Hdf5Dataset(Dataset):
 
     format = "hdf5"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, depth_unit_m: float = 0.0) -> None:
         """Open a dataset.
 
         Args:
             path: The HDF5 file, or the folder that holds it and no other one.
+            depth_unit_m: Unit of the depth images of others [m]; 0: unknown, so they are left out.
 
         Raises:
+            InvalidRequestError: When a unit is stated of RoboXim's own file, which holds metres.
             RecorderError: When there is no such file, or it is damaged or of another layout.
         """
         files = [path] if path.is_file() else sorted([*path.glob("*.hdf5"), *path.glob("*.h5")])
         if len(files) != 1:
             raise RecorderError(f"{path} holds {len(files)} HDF5 files, expected one; name the file")
         super().__init__(path)
+        self.depth_unit_m = depth_unit_m
         self.file = files[0].resolve() if path.is_file() else files[0]  # a link that the user names is the user's
         with opened(self.file) as file, reading(self.file):
             require_no_external_links(file, self.file)
@@ -80,6 +83,8 @@ class Hdf5Dataset(Dataset):
         self._demos, self._lost_splits = self._split()
 
     def _own_content(self) -> Hdf5Content:
+        if self.depth_unit_m:
+            raise InvalidRequestError(f"{self.file} says itself what its depth means; leave --depth-unit out")
         try:
             content = parse_json(self._attributes[ATTRIBUTE], source=str(self.file))
             return Hdf5Content.from_json(content, str(self.file))
@@ -95,7 +100,7 @@ class Hdf5Dataset(Dataset):
                 found[name] = arrays(leaves(demo))
             else:
                 self._unread[name] = "it is no group of arrays"
-        layout = layout_of(found)
+        layout = layout_of(found, depth=bool(self.depth_unit_m))
         self._unread |= {name: why for name, of in found.items() if (why := layout.problem_of(of))}
         first = next((name for name in found if name not in self._unread), None)
         if first is None:
@@ -108,6 +113,7 @@ class Hdf5Dataset(Dataset):
         self.content = Hdf5Content(
             cameras=layout.cameras,
             vectors=layout.vectors,
+            depth=layout.depth,
             outcomes=all("success" in data[name].attrs for name in found if name not in self._unread),
             fps=finite_rate(self._environment.get("control_freq")),
             robot=str(self._attributes.get("robot") or ""),
@@ -255,7 +261,8 @@ class Hdf5Dataset(Dataset):
             by_camera = {camera: key for key, camera in names.items()}
             found = {camera: _array(group, by_camera[camera], where) for camera in cameras}
             for camera, array in found.items():
-                if array.ndim != 4 or len(array) < length:
+                flat = names is content.depth and array.ndim == 3  # of others: (steps, height, width)
+                if not (array.ndim == 4 or flat) or len(array) < length:
                     problem = f"images of shape {array.shape} for {length} steps"
                     raise RecorderError(f"{where}, '{by_camera[camera]}': {problem}", ErrorCode.BAG_DAMAGED)
             return found
@@ -276,7 +283,7 @@ class Hdf5Dataset(Dataset):
             yield Step(
                 index=index,
                 images={camera: values[index] for camera, values in images.items()},
-                depth={camera: values[index][..., 0] for camera, values in depth.items()},
+                depth={camera: self._metres(values[index]) for camera, values in depth.items()},
                 segmentation={camera: values[index][..., 0] for camera, values in masks.items()},
                 proprio={name: values[index] for name, values in vectors.items()},
                 action=action,
@@ -286,6 +293,11 @@ class Hdf5Dataset(Dataset):
                 instruction=texts[index],
                 subtask=subtasks[index],
             )
+
+    def _metres(self, values: Any) -> Any:
+        """Return a depth image in metres, shape (height, width)."""
+        flat = values if values.ndim == 2 else values[..., 0]
+        return flat if not self.depth_unit_m else np.asarray(flat, np.float32) * np.float32(self.depth_unit_m)
 
     def _texts(self, group: Any, rows: Any, key: str, listed: str, length: int) -> list[str | None]:
         """Return the text of each step that an array of numbers names; None: there is no such array."""
@@ -326,6 +338,11 @@ class Hdf5Dataset(Dataset):
                 if _is_group(demo):
                     self._take_stock_of(account, name, demo, own=own)
 
+    def _why_no_depth(self, array: Array) -> str:
+        if not self.depth_unit_m:
+            return "depth images, whose unit the file does not state (--depth-unit does)"
+        return f"depth images of {array.shape[1]} x {array.shape[0]} without a colour camera of that name and size"
+
     def _take_stock_of(self, account: Account, name: str, demo: Any, *, own: bool) -> None:
         content = self.content
         keys = {*content.cameras, *content.vectors, *content.signals, *content.depth, *content.segmentation, "actions"}
@@ -344,7 +361,10 @@ class Hdf5Dataset(Dataset):
             if name in self._unread:
                 account.leaves_out("key", path, "in an episode that is left out", array.length)
             elif path in keys:
-                account.reads("key", path, length, changed="" if own else changed(path, array))
+                how = "" if own else changed(path, array)
+                if path in content.depth and not own:
+                    how = f"{array.dtype} in units of {self.depth_unit_m:g} m, read as metres"
+                account.reads("key", path, length, changed=how)
                 account.leaves_out("key", path, "after the last action", array.length - length)
             elif path == "rewards" and not array.problem:
                 account.reads("key", path, length, changed="" if own else changed(path, array))
@@ -355,7 +375,9 @@ class Hdf5Dataset(Dataset):
             elif path.startswith("next_") and path.removeprefix("next_") in found:
                 account.implies("key", path, "the observations one step ahead", array.length)
             else:
-                why = reason_not_read(path, array) or f"most episodes have no such '{last}'"
+                why = reason_not_read(path, array) or (
+                    self._why_no_depth(array) if is_depth(path, array) else f"most episodes have no such '{last}'"
+                )
                 account.leaves_out("key", path, f"{why} ({array.dtype}, {_shown(array.shape)})", array.length)
 
 

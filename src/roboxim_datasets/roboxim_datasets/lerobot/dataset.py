@@ -30,6 +30,10 @@ class LeRobotFormat:
         """Open a dataset."""
         return LeRobotDataset(path)
 
+    def open_with_depth(self, path: Path, unit_m: float) -> Dataset:
+        """Open a dataset of others whose depth images have a stated unit [m]."""
+        return LeRobotDataset(path, depth_unit_m=unit_m)
+
     def path(self, target: Path, options: LeRobotOptions) -> Path:
         """Return the target: the dataset is this folder."""
         return target

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from roboxim_core.errors import ConfigError, RecorderError, printable
+from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError, printable
 from roboxim_datasets.account import Account
 from roboxim_datasets.dataset import Dataset, Description, Features
+from roboxim_datasets.depth import camera_of
 from roboxim_datasets.episode import EXECUTED, SIGNAL_PREFIX, Episode, ImageSize, RGBImage, Step, Wanted, solved
 from roboxim_datasets.files import file_in, files_below, has_file, reading
 from roboxim_datasets.lerobot import tables
@@ -87,16 +88,19 @@ class LeRobotDataset(Dataset):
 
     format = "lerobot"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, depth_unit_m: float = 0.0) -> None:
         """Open a dataset.
 
         Args:
             path: Its folder, which holds ``meta/info.json``.
+            depth_unit_m: Unit of the 16-bit depth images of others [m]; 0: unknown, so they are left out.
 
         Raises:
+            InvalidRequestError: When a unit is stated of RoboXim's own dataset, which says it.
             RecorderError: When there is no dataset, its description is damaged, or its version is unknown.
         """
         super().__init__(path)
+        self.depth_unit_m = depth_unit_m
         if not has_file(path, INFO_FILE):
             raise RecorderError(f"{self.path} is not a LeRobot dataset: it has no {INFO_FILE}")
         self.info = tables.json_object(self.path, INFO_FILE)
@@ -142,6 +146,8 @@ class LeRobotDataset(Dataset):
         self.content = self._own_content() if own else self._content()
 
     def _own_content(self) -> LeRobotContent:
+        if self.depth_unit_m:
+            raise InvalidRequestError(f"{self.path} says itself what its depth means; leave --depth-unit out")
         data = tables.json_object(self.path, ROBOXIM_FILE)
         content = LeRobotContent.from_json(data, str(self.path / ROBOXIM_FILE))
         for key in (*content.cameras, *content.vectors, *content.signals, content.names.action):
@@ -164,7 +170,7 @@ class LeRobotDataset(Dataset):
         deep = any(bool(about.get(name)) for name in ("video.is_depth_map", "is_depth_map"))
         pixels = str(about.get("video.pix_fmt", about.get("pix_fmt", "")))
         if deep or pixels.startswith(("gray1", "gray9")):
-            return f"depth images ({pixels or 'is_depth_map'}), whose unit the format does not state"
+            return f"a video of depth ({pixels or 'is_depth_map'}), whose unit the format does not state"
         if len(shape) != 3 or 3 not in (shape[0], shape[2]):
             what = "16-bit depth or grey images" if len(shape) == 3 and 1 in (shape[0], shape[2]) else "images"
             return f"{what} of shape {shape}; only colour images of three channels are read"
@@ -200,10 +206,11 @@ class LeRobotDataset(Dataset):
                     (signals if key.startswith(SIGNAL_PREFIX) else vectors).append(key)
         if why := self._unread.get(action) or self._no_vector(action):
             raise damaged(f"{self.path}: the column '{action}' cannot be read as actions: {why}")
+        named = _apart(cameras)
         return LeRobotContent(
             names=LeRobotNames(state=state, action=action),
-            cameras=_apart(cameras),
-            depth={},
+            cameras=named,
+            depth=self._depth(named, columns),
             segmentation={},
             vectors=_apart(
                 {k: "state" if k == state else k.removeprefix(_OBSERVED).replace("/", ".") for k in vectors}
@@ -215,7 +222,26 @@ class LeRobotDataset(Dataset):
     def _deep(self, cell: Any) -> str:
         """Return why the images of a column are none of colours, by its first one; empty: they are."""
         data = cell.get("bytes") if isinstance(cell, dict) else None
-        return "16-bit depth images, whose unit the format does not state" if data and head_of(data).deep else ""
+        deep = data and head_of(data).deep
+        return "16-bit depth images, whose unit the format does not state (--depth-unit does)" if deep else ""
+
+    def _depth(self, cameras: Mapping[str, str], columns: Mapping[str, Any]) -> dict[str, str]:
+        """Return the columns of 16-bit depth images that become the depth of a camera, if their unit is stated."""
+        found: dict[str, str] = {}
+        for key in self._unread if self.depth_unit_m else ():
+            if self._features[key]["dtype"] != "image" or not self._deep(columns.get(key)):
+                continue
+            camera = camera_of(key.removeprefix(_CAMERA_PREFIX), cameras.values())
+            size = head_of(columns[key]["bytes"]).size
+            colour = next((_size(self._shape(name)) for name, own in cameras.items() if own == camera), None)
+            if colour == size and camera not in found.values():
+                found[key] = camera
+            else:
+                self._unread[key] = (
+                    f"16-bit depth images of {size.width} x {size.height} without a colour camera of that name and size"
+                )
+        self._unread = {key: why for key, why in self._unread.items() if key not in found}
+        return found
 
     def _no_vector(self, key: str) -> str:
         """Return why a column is no vector of observed numbers; empty: it is one."""
@@ -410,16 +436,18 @@ class LeRobotDataset(Dataset):
         videos = {camera: self._frames(place, key) for camera, key in keys.items() if camera not in stored}
         texts = self._texts(place)
         several, subtasks = len(set(texts)) > 1, self._subtasks_of(place)
+        unit = self.depth_unit_m or DEPTH_UNIT_M
         for step in range(place.length):
             read = {key: self._image_bytes(cells(table, key, step, where)) for key in encoded}
             images: dict[str, RGBImage] = {camera: next(frames) for camera, frames in videos.items()}
             with reading(f"{where}, step {step}"):
                 images |= {camera: colour_picture(read[key]) for camera, key in stored.items()}
                 maps = {key: deep_picture(read[key]) for key in (*depth.values(), *masks.values())}
+                self._require_sizes(depth, maps, f"{where}, step {step}")
             yield Step(
                 index=step,
                 images={camera: images[camera] for camera in keys},
-                depth={camera: maps[key] * np.float32(DEPTH_UNIT_M) for camera, key in depth.items()},
+                depth={camera: maps[key] * np.float32(unit) for camera, key in depth.items()},
                 segmentation={camera: maps[key] for camera, key in masks.items()},
                 proprio={vector: numbers[key][step] for key, vector in content.vectors.items()},
                 action=numbers[content.names.action][step],
@@ -432,6 +460,15 @@ class LeRobotDataset(Dataset):
             )
         for frames in videos.values():  # ends the decoding; a broken file says so
             next(frames, None)
+
+    def _require_sizes(self, depth: Mapping[str, str], maps: Mapping[str, Any], where: str) -> None:
+        """Refuse depth images of another size than their camera's; `depth` maps camera to column."""
+        for camera, key in depth.items():
+            size = self.features.cameras[camera]
+            if maps[key].shape != (size.height, size.width):
+                raise damaged(
+                    f"{where}: '{key}' has the shape {maps[key].shape}, expected ({size.height}, {size.width})"
+                )
 
     def _number_columns(self) -> tuple[str, ...]:
         """Return the columns of numbers that steps consist of."""
@@ -557,6 +594,8 @@ class LeRobotDataset(Dataset):
 
     def _changed(self, key: str) -> str:
         dtype = str(self._features[key]["dtype"])
+        if key in self.content.depth:
+            return f"16-bit depth in units of {self.depth_unit_m:g} m, read as metres"
         return "" if dtype in ("float32", "image", "video") or key == "next.success" else f"{dtype}, read as float32"
 
     def _not_finite(self) -> str:

@@ -10,7 +10,7 @@ The first reports of others' data were nine groups of cases. Each is a test of t
 * RLDS (ids that repeat, no rate, images without a size): here.
 * Bags that other tools wrote again: ``test_rewritten`` of the recorder.
 * Objects (xacro, ROS's folder layout, mass beside a URDF, DAE, Latin-1): ``test_own_objects`` of the core.
-* YAML in other encodings, and an empty task file: here; ``test_documents`` of the core, ``test_task_choice`` of the runs.
+* YAML in other encodings, and an empty task file: here; ``test_documents`` of the core, ``test_task_choice`` of runs.
 * Terminals of another ROS, a home that cannot be written: ``test_environment`` of ``roboxim_ros``.
 * The exit code of ``policy check``: ``test_remote_policies``.
 """

@@ -27,6 +27,7 @@ def convert_dataset(
     options: Any = None,
     *,
     fps: float = 0.0,
+    depth_unit_m: float = 0.0,
     instruction: str = "",
     where: Sequence[str] = (),
     overwrite: bool = False,
@@ -41,6 +42,7 @@ def convert_dataset(
         format: Registered name of the format.
         options: Options of the format; None: the defaults.
         fps: Steps per second of a source that does not say it; 0: unknown.
+        depth_unit_m: Unit of depth images of a source that does not say it [m]; 0: they are left out.
         instruction: What was done in a bag of a driven graph, which does not say it.
         where: Conditions and edits, see `roboxim_datasets.choosing.chosen_plan`; empty: every episode as it is.
         overwrite: Replace an existing dataset.
@@ -54,20 +56,22 @@ def convert_dataset(
         RecorderError: ``EXPORT_REFUSED`` when the target exists or lies in the source; ``BAG_DAMAGED`` when the source
             cannot be read.
     """
-    opened = _opened(Path(source), instruction)
+    opened = _opened(Path(source), instruction, depth_unit_m)
     plan = chosen_plan(opened, where) if where else plan_of(opened)
     reporter = Reporter(on_event, cancellation)
     return _write(plan, Path(target), format, options, "convert", reporter, overwrite=overwrite, fps=fps)
 
 
-def _opened(source: Path, instruction: str) -> Dataset:
+def _opened(source: Path, instruction: str, depth_unit_m: float) -> Dataset:
     if source.exists() and is_driven(source):
+        if depth_unit_m:
+            raise ConfigError(f"{source} is a bag, whose depth is in metres; leave --depth-unit out")
         if not instruction:
             raise ConfigError(f"{source} is a bag of a driven graph, which does not say what was done: --instruction")
         return DrivenDataset(source, instruction)
     if instruction:
         raise ConfigError(f"{source} is no bag of a driven graph: a dataset has instructions of its own")
-    return open_dataset(source)
+    return open_dataset(source, depth_unit_m=depth_unit_m)
 
 
 def merge_datasets(

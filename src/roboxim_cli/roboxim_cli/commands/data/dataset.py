@@ -56,11 +56,15 @@ class _Formats(strict.Group):
         doc = (FORMATS[cmd_name].__doc__ or "").splitlines()[0]
 
         def convert(
-            source: Path, out: Path, overwrite: bool, fps: float, instruction: str, where: tuple[str, ...], **given: Any
-        ) -> None:
+            source: Path, out: Path, overwrite: bool, fps: float, depth_unit: float, instruction: str,
+            where: tuple[str, ...], **given: Any,
+        ) -> None:  # fmt: skip
             from roboxim_datasets.where import with_files
 
-            more = {"fps": fps, "instruction": instruction, "overwrite": overwrite, "where": with_files(where)}
+            more = {
+                "fps": fps, "depth_unit_m": depth_unit, "instruction": instruction, "overwrite": overwrite,
+                "where": with_files(where),
+            }  # fmt: skip
             _convert(cmd_name, options(**given), source, out, **more)
 
         params: list[click.Parameter] = [
@@ -68,6 +72,10 @@ class _Formats(strict.Group):
             click.Option(["--out"], type=_path, required=True, help="Folder of the dataset."),
             *own,
             click.Option(["--fps"], type=float, default=0.0, help="Steps per second of a source that does not say it."),
+            click.Option(
+                ["--depth-unit"], type=float, default=0.0, metavar="METRES",
+                help="Unit of depth images of a source that does not say it, e.g. 0.001.",
+            ),
             click.Option(
                 ["--instruction"], default="", metavar="TEXT",
                 help="What was done in a bag of 'roboxim bag record', which becomes a dataset, too.",
