@@ -17,6 +17,7 @@ from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError
 from roboxim_core.plain_data.documents import read_json
 from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import open_dataset
+from roboxim_policies.learning.checkpoint_file import require_no_bomb
 from roboxim_ros.messages.conversions import from_msg
 
 STEP_TOPIC = "evaluator/step"
@@ -70,6 +71,7 @@ def load_actions(
 
 def _from_npz(source: Path) -> npt.ArrayLike:
     try:
+        require_no_bomb(source)
         with np.load(source) as arrays:
             names = list(arrays)
             if "actions" not in names and len(names) != 1:

@@ -20,6 +20,27 @@ UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 """Exceptions that reading a damaged checkpoint raises."""
 
 
+MOST_UNPACKED = 256 * 2**20
+"""Largest size of the compressed arrays of a file once unpacked [B]; RoboXim stores weights uncompressed."""
+
+
+def require_no_bomb(file: Path) -> None:
+    """Refuse an archive of arrays of which a few bytes unpack to very many.
+
+    Raises:
+        ValueError: Naming the array.
+        OSError: When the file cannot be read.
+        zipfile.BadZipFile: When it is no archive.
+    """
+    with zipfile.ZipFile(file) as archive:
+        for member in archive.infolist():
+            if member.file_size > max(MOST_UNPACKED, member.compress_size):
+                raise ValueError(
+                    f"'{member.filename}' has {member.compress_size} bytes and unpacks to {member.file_size}; "
+                    f"compressed arrays may have {MOST_UNPACKED}"
+                )
+
+
 def checkpoint_file(path: Path) -> Path:
     """Return the file of a checkpoint, given the file or the folder of its training."""
     return path / "checkpoint.npz" if path.is_dir() else path
@@ -43,6 +64,7 @@ def read_description(path: Path) -> dict[str, Any]:
     if not file.is_file():
         raise ConfigError(f"no checkpoint at {file}; train one, e.g. with 'roboxim train bc'")
     try:
+        require_no_bomb(file)
         with np.load(file, allow_pickle=False) as archive:
             text = str(archive["said"])
     except UNREADABLE as error:

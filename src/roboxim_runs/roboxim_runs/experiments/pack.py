@@ -15,7 +15,6 @@ import io
 import json
 import shutil
 import tarfile
-import tempfile
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -95,13 +94,14 @@ def pack(out: Path, target: Path, *, most_bytes: int = MOST_BYTES) -> Pack:
         raise ConfigError(f"{out} is not the folder of an experiment or a benchmark: it has no {EXPERIMENT_FILE}")
     if target.exists():
         raise ConfigError(f"{target} exists; remove it, or name another file with --file")
-    partial = target.with_name(f".{target.name}.partial")
+    partial, drafts = (target.with_name(f".{target.name}.{kind}") for kind in ("partial", "drafts"))
+    shutil.rmtree(drafts, ignore_errors=True)  # a killed call left it
+    drafts.mkdir()
     try:
         with (
-            tempfile.TemporaryDirectory(prefix=".pack-", dir=target.parent) as drafts,
             tarfile.open(partial, "w:gz", compresslevel=6) as archive,
         ):
-            files, originals = _contents(out, Path(drafts))
+            files, originals = _contents(out, drafts)
             manifest = {name: file_sha256(file) for name, file in files.items()}
             sizes = {name: file.stat().st_size for name, file in files.items()}
             text = json.dumps({"files": manifest, "originals": originals}, indent=1).encode()
@@ -118,9 +118,11 @@ def pack(out: Path, target: Path, *, most_bytes: int = MOST_BYTES) -> Pack:
                 f"the pack has {size / 1e6:.0f} MB, more than {most_bytes / 1e6:.0f} MB; its largest files: {named}. "
                 "Raise --most, or remove intermediate checkpoints"
             )
-        partial.replace(target)
+        shutil.rmtree(drafts)
+        partial.replace(target)  # the last step: a call killed before leaves what the next one removes
     finally:
         partial.unlink(missing_ok=True)
+        shutil.rmtree(drafts, ignore_errors=True)
     return Pack(path=target, files=len(files), size=size, originals=originals)
 
 

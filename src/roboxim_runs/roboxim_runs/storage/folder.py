@@ -55,6 +55,7 @@ class RunFolder:
         self.path = checked_path(path)
         self.log = ResultsLog(self.path / RESULTS_FILE)
         self._key = ""
+        self._locked: tuple[int, int] | None = None  # device and number of the folder while it is open
 
     @contextmanager
     def opened(self, config: Mapping[str, Any], *, repair: bool = False) -> Iterator[RunFolder]:
@@ -77,7 +78,8 @@ class RunFolder:
                 "folder (--out or out=)"
             )
         with locked(self.path):
-            self._key = run_key(config)
+            self._key, about = run_key(config), self.path.stat()
+            self._locked = about.st_dev, about.st_ino
             if stored_at.exists() and self.log.path.exists():
                 self._require_same(config, repair)
             write_whole(stored_at, json.dumps(dict(config), indent=2, sort_keys=True) + "\n")
@@ -226,7 +228,21 @@ class RunFolder:
             shutil.rmtree(self.path / place / episode_id, ignore_errors=True)
 
     def append(self, result: EpisodeResult) -> None:
-        """Append a finished result. It is on the disk when this returns."""
+        """Append a finished result. It is on the disk when this returns.
+
+        Raises:
+            RoboximError: ``DISK`` when another folder has taken the place of the one that was opened.
+        """
+        try:
+            about = self.path.stat()
+        except OSError:
+            about = None
+        if self._locked is not None and (about is None or (about.st_dev, about.st_ino) != self._locked):
+            raise RoboximError(
+                f"{self.path} was moved, removed or replaced while the run wrote into it; put it back and run the same "
+                "command again: it continues with the results that the folder has",
+                ErrorCode.DISK,
+            )
         self.log.append(self._key, to_plain(result))
 
 
