@@ -63,9 +63,10 @@ def load_actions(
     else:
         raise ConfigError(f"{source}: cannot read actions from this; give .npz, .json, .mcap or a dataset")
     try:
-        joints = max(np.asarray(actions).shape[-1] - 1, 1)
+        shape = np.asarray(actions).shape
+        joints = max(shape[-1] - 1, 1) if shape else 1
         return check_chunk(actions, size=semantics.dimension(joints)), semantics
-    except InvalidRequestError as error:
+    except (InvalidRequestError, ValueError) as error:  # also rows of different lengths
         raise ConfigError(f"{source}: {error}") from None
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
+import json
 import struct
 import tracemalloc
 import zlib
+from fractions import Fraction
 from pathlib import Path
 
 import h5py
@@ -12,11 +15,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from made_foreign import CAMERA, EPISODES, SIDE, STEPS, hdf5, lerobot30
+from made_foreign import CAMERA, EPISODES, SIDE, STEPS, hdf5, lerobot30, rlds
+from PIL import Image
 
 from roboxim_core.errors import RoboximError
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.lerobot import parquet_file
+from roboxim_datasets.rewrite import plan_of, write_dataset
+from roboxim_datasets.rlds.tfrecord import decode_example, encode_example, read_records, write_record
+from roboxim_datasets.video.client import VideoWriters
 
 DATA = "data/chunk-000/file-000.parquet"
 ROWS = EPISODES * STEPS
@@ -121,3 +128,58 @@ def test_hdf5_bombs_and_objects_are_named_and_the_rest_is_read(settings, tmp_pat
     dataset = open_dataset(with_actions(hdf5(tmp_path / "bomb"), **settings))
     assert [part.name for part in dataset.account.left_out if part.kind == "episode"] == ["demo_0"]
     assert len(list(dataset.episodes())) > 0
+
+
+def jpeg(width: int, height: int) -> bytes:
+    """A small picture whose head claims another size."""
+    out = io.BytesIO()
+    Image.new("RGB", (SIDE, SIDE)).save(out, "JPEG")
+    data = bytearray(out.getvalue())
+    at = data.index(b"\xff\xc0") + 5  # height and width in the start of the frame
+    data[at : at + 4] = struct.pack(">HH", height, width)
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    "picture", [jpeg(65_500, 65_500), jpeg(8192, 8193), png(2048, 2048)], ids=["4 G", "67 M", "png"]
+)
+def test_pictures_of_rlds_are_held_against_their_description(picture: bytes, tmp_path: Path) -> None:
+    path = rlds(tmp_path / "bomb" / "1.0.0", ids=(0, 1))
+    file = next(path.glob("*tfrecord*"))
+    records = [decode_example(record) for record in read_records(file)]
+    with file.open("wb") as handle:
+        for record in records:
+            write_record(handle, encode_example({**record, "steps/observation/image": [picture] * STEPS}))
+    tracemalloc.start()
+    with pytest.raises(RoboximError, match=r"claims more than|claims 8192 x 8193|shape"):
+        read_all(path)
+    assert tracemalloc.get_traced_memory()[1] < 2**26
+    tracemalloc.stop()
+
+
+def test_a_record_of_rlds_that_claims_more_steps_than_it_has_is_refused(tmp_path: Path) -> None:
+    path = rlds(tmp_path / "bomb" / "1.0.0", ids=(0,))
+    file = next(path.glob("*tfrecord*"))
+    (record,) = [decode_example(one) for one in read_records(file)]
+    with file.open("wb") as handle:
+        write_record(handle, encode_example({**record, "steps/reward": np.zeros(2**22, np.float32)}))
+    with pytest.raises(RoboximError, match="reward|steps"):
+        read_all(path)
+
+
+@pytest.mark.slow
+def test_a_video_of_more_pixels_than_its_description_says_is_refused(tmp_path: Path) -> None:
+    path = lerobot30(tmp_path / "a")
+    made = write_dataset(plan_of(open_dataset(path)), tmp_path / "b", "lerobot", how="convert").path
+    info = json.loads((made / "meta/info.json").read_text())
+    (key,) = [name for name, feature in info["features"].items() if feature["dtype"] == "video"]
+    video = next(made.glob("**/*.mp4"))
+    with VideoWriters(1) as writers:
+        written = writers.open(video.with_suffix(".new.mp4"), codec="h264", rate=Fraction(10), height=128, width=128)
+        for _ in range(ROWS):
+            written.add(np.zeros((128, 128, 3), np.uint8))
+        written.close().result()
+    video.with_suffix(".new.mp4").replace(video)
+    assert key
+    with pytest.raises(RoboximError, match="128"):
+        read_all(made)

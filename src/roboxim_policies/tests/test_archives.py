@@ -1,0 +1,53 @@
+"""Archives of arrays that unpack to far more than they weigh are refused before memory is taken."""
+
+from __future__ import annotations
+
+import tracemalloc
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roboxim_core.errors import ConfigError
+from roboxim_policies.learning import checkpoint_file
+from roboxim_policies.learning.checkpoint_file import read_description
+from roboxim_policies.recorded_actions import load_actions
+
+
+def bomb(file: Path, name: str, values: np.ndarray) -> Path:
+    np.savez_compressed(file, **{name: values})
+    return file
+
+
+def test_a_compressed_archive_is_refused_by_its_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checkpoint_file, "MOST_UNPACKED", 2**20)
+    actions = bomb(tmp_path / "actions.npz", "actions", np.zeros((2**21, 7), np.float32))
+    checkpoint = bomb(tmp_path / "checkpoint.npz", "said", np.array("x" * 2**21))
+    assert actions.stat().st_size < 2**17
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match=r"not a readable .npz: 'actions.npy' has \d+ bytes and unpacks to 58720384"):
+        load_actions(actions)
+    with pytest.raises(ConfigError, match=r"not a readable checkpoint: 'said.npy' has \d+ bytes and unpacks to"):
+        read_description(checkpoint)
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
+
+
+def test_pickles_and_files_that_are_no_archive_are_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "objects.npz", actions=np.array([{}], object))
+    np.save(tmp_path / "single.npz.npy", np.zeros((3, 7)))
+    (tmp_path / "single.npz.npy").rename(tmp_path / "single.npz")
+    with zipfile.ZipFile(tmp_path / "text.npz", "w") as archive:
+        archive.writestr("actions.npy", b"no array")
+    (tmp_path / "ragged.json").write_text("[[1, 2, 3], [4]]")
+    (tmp_path / "one.json").write_text("7")
+    for name in ("objects.npz", "single.npz", "text.npz", "ragged.json", "one.json"):
+        with pytest.raises(ConfigError, match=name):
+            load_actions(tmp_path / name)
+
+
+def test_an_ordinary_archive_of_actions_is_read(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "actions.npz", actions=np.zeros((5, 7), np.float32))
+    actions, _ = load_actions(tmp_path / "actions.npz")
+    assert actions.shape == (5, 7)
