@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import resource
 import socket
 import struct
 import sys
 import threading
 import time
+from collections import deque
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
@@ -214,3 +216,26 @@ def test_a_stopped_server_leaves_no_client_connected():
         while threading.active_count() > before and time.monotonic() < deadline:
             time.sleep(0.02)
         assert threading.active_count() <= before, name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("server", ["openpi", "vla_eval"], indirect=True)
+def test_ten_thousand_connections_leave_the_server_answering(server):
+    """One after another, as many open at a time as the limit of open files allows (both ends are in this process)."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, 25_000), hard))
+    before, most, kept = threading.active_count(), 0, deque()
+    try:
+        for number in range(10_000):
+            while len(kept) >= (min(hard, 25_000) - 500) // 2:
+                kept.popleft().close()
+            with suppress(OSError):  # beyond the bound they are closed at once
+                kept.append(connected(server))
+            if number % 500 == 0:
+                most = max(most, threading.active_count() - before)
+        assert most <= 2 * 320 + 10
+    finally:
+        for one in kept:
+            one.close()
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert answers(server), "once they have left"
