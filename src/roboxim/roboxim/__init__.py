@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from roboxim_runs.executors import CancelledError, Executor, InlineExecutor, LocalExecutor
     from roboxim_runs.policies.specs import PolicySpec
     from roboxim_runs.training.run import BCConfig, TrainingResult
+    from roboxim_studio.notebook import view
 
 __all__ = [
     "ActionSemantics",
@@ -85,6 +86,7 @@ __all__ = [
     "train_act",
     "train_bc",
     "train_rt1s",
+    "view",
 ]
 
 _HOMES = {
@@ -114,6 +116,7 @@ _HOMES = {
     "roboxim_core.episode": ("EpisodeResult",),
     "roboxim_core.policies": ("CameraRequirement",),
     "roboxim_policies": ("BasePolicy",),
+    "roboxim_studio.notebook": ("view",),
     "roboxim_core.errors": ("ConfigError", "RoboximError"),
 }
 """Module to its public names."""

@@ -75,7 +75,10 @@ class Studio:
         self._modes.on_click(lambda event: self.show(str(event.target.value)))
         self.mode = EPISODE
         """What the view shows."""
-        self.files = FilesPanel(self.site, self.bench, self.folder, self.open_bag, self.open_beside)
+        self.files = FilesPanel(
+            self.site, self.bench, self.folder, self.open_bag, self.open_beside,
+            lambda: (self.episode.film, self.episode.tick),
+        )  # fmt: skip
         self.dataset = DatasetPanel(self.site)
         self.episode = EpisodePanel(self.site, self.view)
         self.what_if = WhatIfPanel(self.site, self.episode, self.bench, self.lab, self.library)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from roboxim_core.errors import InvalidRequestError
+from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.where import with_files
 from roboxim_recorder.export import EXPORTERS
 from roboxim_runs.datasets.export import export_dataset
@@ -55,6 +56,42 @@ def test_a_selection_file_leaves_episodes_out_of_exports_and_touches_no_bag(stud
     assert not studio.files.marks
     assert studio.files.save("../x") is None
     assert not list(tmp_path.parent.glob("x.where"))
+
+
+def test_a_selection_file_trims_and_relabels_and_can_be_loaded_again(studio, run, tmp_path):
+    studio.files._folder = tmp_path
+    studio.open(recognise(str(run)))
+    (entry,) = studio.files.entries
+    last = studio.episode.film.result.steps
+    studio.episode.show(4)
+    studio.files.trim("Starts here")
+    studio.episode.show(last - 2)
+    studio.files.trim("Ends here")
+    studio.files.relabel("Lift  it = now")
+    studio.files.mark(entry.name, "Flag")
+    file = studio.files.save("mine")
+    lines = (f"trim {entry.episode} 4..{last - 3}", f"relabel {entry.episode} Lift it = now")
+    assert with_files([f"@{file}"]) == lines
+    config = EXPORTERS["hdf5"]().config(val_fraction=0.0, where=lines)
+    (episode,) = open_dataset(export_dataset("hdf5", [run], tmp_path / "data", config).path).episodes()
+    assert (episode.length, episode.instruction) == (last - 6, "Lift it = now")
+    edits, marks = dict(studio.files.edits), dict(studio.files.marks)
+    studio.files.trim("Whole again")
+    studio.files.relabel("")
+    studio.files.mark(entry.name, "Unmark")
+    assert not studio.files.edits
+    studio.files.load("mine")
+    assert (studio.files.edits, studio.files.marks) == (edits, marks)
+    studio.files.load("../mine")
+    studio.episode.show(0)
+    studio.files.trim("Ends here")
+    assert "nothing would be left" in studio.files._told.content
+
+
+def test_an_audit_of_a_clean_run_flags_nothing(studio, run):
+    studio.open(recognise(str(run)))
+    studio.files.audit()
+    assert not studio.files.marks
 
 
 def test_a_line_of_a_selection_file_that_is_no_condition_is_named(tmp_path):

@@ -80,6 +80,7 @@ def shown_episode(
     log, log_note = printed(run or bag.parent.parent, result.index)
     where = shlex.quote(shown_as or str(bag))
     commands = (
+        f"roboxim studio {where}   # in 3D, tick by tick\n"
         f"roboxim show {where} --out why.html\nroboxim up                       # in one terminal\n"
         f"roboxim replay {where}   # in another: executes it again and compares every tick"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,12 @@ import numpy as np
 from viser import uplot
 
 from roboxim_core.errors import RoboximError
+from roboxim_datasets.audit.values import Finding
+from roboxim_datasets.where import Choice, Edit
 from roboxim_eval.statistics.rates import success_rate
 from roboxim_recorder.bag import BagReader
 from roboxim_studio.bench import Bench
-from roboxim_studio.episode.choice import save_selection, selection_text
+from roboxim_studio.episode.choice import read_selection, save_selection, selection_text
 from roboxim_studio.episode.film import Film
 from roboxim_studio.episode.listing import Entry, list_entries
 from roboxim_studio.episode.statistics import Traits, traits
@@ -26,6 +29,10 @@ from roboxim_studio.serving.site import Site
 ANY = "any"
 WATCH_S = 1.0
 """Period in which a run's folder is looked at for new episodes."""
+TRIMS = ("Starts here", "Ends here", "Whole again")
+"""How the open episode is trimmed at the tick that it shows."""
+MOST_FINDINGS = 12
+"""Findings of an audit that the panel lists."""
 MARKS = {"": "", "flag": "! ", "out": "x "}
 """Mark of an episode to the text before its name."""
 
@@ -34,8 +41,9 @@ class FilesPanel:
     """Lists the episodes of one folder; only bags of that folder can be opened."""
 
     def __init__(
-        self, site: Site, bench: Bench, folder: Path, open_bag: Callable[[Path], Film], beside: Callable[[Path], None]
-    ) -> None:
+        self, site: Site, bench: Bench, folder: Path, open_bag: Callable[[Path], Film], beside: Callable[[Path], None],
+        opened: Callable[[], tuple[Film | None, int]],
+    ) -> None:  # fmt: skip
         """Build the panel in the current container; it stays hidden until a run is opened.
 
         Args:
@@ -44,7 +52,9 @@ class FilesPanel:
             folder: Folder to save selections into.
             open_bag: Shows an episode.
             beside: Shows an episode beside the one that is open.
+            opened: Returns the episode that is open in the studio, and the tick that it shows.
         """
+        self._opened = opened
         self._site, self._gui, self._bench = site, site.viser.gui, bench
         self._folder, self._open_bag, self._show_beside = folder, open_bag, beside
         self.folder = self._gui.add_folder("Run", visible=False)
@@ -52,6 +62,8 @@ class FilesPanel:
         """Every episode of the run."""
         self.marks: dict[str, str] = {}
         """Episode to ``flag`` or ``out``."""
+        self.edits: dict[str, Edit] = {}
+        """Episode to what the selection changes of it."""
         self.run: Path | None = None
         """The folder."""
         self._lock = threading.RLock()
@@ -67,7 +79,7 @@ class FilesPanel:
         """
         with self._lock:
             following = self.run is not None
-            self.run, self._known, self.marks = folder, bags, {}
+            self.run, self._known, self.marks, self.edits = folder, bags, {}, {}
             self.entries = list_entries(bags, folder)
             for handle in self._fresh:
                 handle.remove()
@@ -97,8 +109,13 @@ class FilesPanel:
         self._told = gui.add_html("")
         more = gui.add_folder("Selection, distributions", expand_by_default=False)
         with more:
+            trims = gui.add_button_group("Open episode", TRIMS)
+            self._new_words = gui.add_text("New instruction", initial_value="")
+            relabel = gui.add_button("Give it this instruction")
             self._name = gui.add_text("Save as", initial_value="my_selection")
             save = gui.add_button("Save the selection")
+            load = gui.add_button("Load a saved selection")
+            audit = gui.add_button("Audit all episodes")
             measure = gui.add_button("Measure all episodes")
             self._measured = gui.add_html("")
             self._plots = gui.add_folder("Distributions", visible=False)
@@ -107,6 +124,10 @@ class FilesPanel:
         self._choice.on_update(lambda event: self.open_named(str(event.target.value)) if event.client else None)
         acts.on_click(lambda event: self.open_named(self._chosen(), beside=event.target.value == "Beside"))
         marks.on_click(lambda event: self.mark(self._chosen(), str(event.target.value)))
+        trims.on_click(lambda event: self.trim(str(event.target.value)))
+        relabel.on_click(lambda _: self.relabel(str(self._new_words.value)))
+        load.on_click(lambda _: self.load(str(self._name.value)))
+        audit.on_click(lambda _: threading.Thread(target=self.audit, name="audit", daemon=True).start())
         save.on_click(lambda _: self._save())
         measure.on_click(lambda _: self._measure())
         self._fresh = [
@@ -163,6 +184,8 @@ class FilesPanel:
         if self.marks:
             left_out = sum(mark == "out" for mark in self.marks.values())
             rows.append(("marked", f"{left_out} left out, {len(self.marks) - left_out} flagged"))
+        if self.edits:
+            rows.append(("edited", "; ".join(map(_described, self.edits.values()))))
         return rows
 
     def _follow(self) -> None:
@@ -223,13 +246,93 @@ class FilesPanel:
             self._list()
             self._choice.value = self._names(self.shown())[place]
 
+    def trim(self, what: str) -> None:
+        """Trim the open episode at the tick that it shows: keep it from there on, up to there, or whole again."""
+        film, tick = self._opened()
+        if film is None:
+            return
+        name, last = film.info.episode_id, film.result.steps - 1
+        before = self.edits.get(name, Edit(episode=name))
+        start, end = before.steps or (0, last)
+        if what == TRIMS[0]:
+            start = min(tick, last)
+        elif what == TRIMS[1]:
+            end = min(max(tick - 1, 0), last)
+        else:
+            start, end = 0, last
+        if start > end:
+            self._say(f"nothing would be left: it would begin at tick {start} and end at {end + 1}", alert=True)
+            return
+        self._edit(replace(before, steps=None if (start, end) == (0, last) else (start, end)))
+
+    def relabel(self, words: str) -> None:
+        """Give the open episode another instruction; empty: its own."""
+        film, _ = self._opened()
+        if film is None:
+            return
+        name, words = film.info.episode_id, " ".join(words.split())
+        try:
+            Choice.parse([f"relabel {name} {words}"] if words else [])
+        except RoboximError as error:
+            self._say(str(error), alert=True)
+            return
+        self._edit(replace(self.edits.get(name, Edit(episode=name)), instruction=words))
+
+    def _edit(self, edit: Edit) -> None:
+        with self._lock:
+            self.edits.pop(edit.episode, None)
+            if edit.steps or edit.instruction:
+                self.edits[edit.episode] = edit
+            self._list()
+        self._say(f"{_described(edit)}; 'Save the selection' keeps it, the bag stays as it is")
+
+    def load(self, name: str) -> None:
+        """Take the marks and edits of a selection file that was saved before."""
+        try:
+            saved = read_selection(self._folder, name)
+        except RoboximError as error:
+            self._say(str(error), alert=True)
+            return
+        with self._lock:
+            self.edits = dict(saved.edits)
+            self.marks = {
+                entry.name: "out" if entry.episode in saved.left_out else "flag"
+                for entry in self.entries
+                if entry.episode in saved.left_out | saved.flagged
+            }
+            self._list()
+        self._say(f"loaded {name}")
+
+    def audit(self) -> tuple[tuple[str, Finding], ...]:
+        """Audit the run's bags, flag the episodes with faults, and list what was found; returns check and finding."""
+        from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
+
+        assert self.run is not None
+        self._say("auditing ...")
+        try:
+            checks = audit_dataset(self.run, None, AuditConfig(render=False, pictures=0)).result.checks
+        except RoboximError as error:
+            self._say(str(error), alert=True)
+            return ()
+        found = tuple((check.name, finding) for check in checks for finding in check.findings)
+        faulty = {name for check in checks for finding in check.faults for name in finding.episodes}
+        with self._lock:
+            for entry in self.entries:
+                if entry.episode in faulty:
+                    self.marks.setdefault(entry.name, "flag")
+            self._list()
+        shown = [f"{check}: {', '.join(one.episodes) or 'all'}: {one.text}" for check, one in found[:MOST_FINDINGS]]
+        more = [f"and {len(found) - MOST_FINDINGS} more"] if len(found) > MOST_FINDINGS else []
+        self._say("\n".join([*shown, *more]) or f"{len(checks)} checks found nothing")
+        return found
+
     def save(self, name: str) -> Path | None:
         """Save the selection; returns the file, or None if it is not possible, which the panel says."""
         assert self.run is not None
         ids = {entry.name: entry.episode or entry.name for entry in self.entries}
         out = [ids[name] for name, mark in self.marks.items() if mark == "out"]
         flagged = [ids[name] for name, mark in self.marks.items() if mark == "flag"]
-        text = selection_text(out, flagged, self.run.name, len(self.entries))
+        text = selection_text(out, flagged, self.run.name, len(self.entries), self.edits.values())
         try:
             file = save_selection(self._folder, name, text)
         except (RoboximError, OSError) as error:
@@ -298,3 +401,13 @@ class FilesPanel:
 
     def _say(self, text: str, *, alert: bool = False) -> None:
         self._told.content = markup.paragraph(text, "run-told", alert=alert)
+
+
+def _described(edit: Edit) -> str:
+    """Return an edit in words, by ticks."""
+    parts = [edit.episode]
+    if edit.steps:
+        parts.append(f"ticks {edit.steps[0]} to {edit.steps[1] + 1}")
+    if edit.instruction:
+        parts.append(f'"{edit.instruction}"')
+    return ", ".join(parts) if len(parts) > 1 else f"{edit.episode} whole, with its own instruction"
