@@ -1,6 +1,7 @@
-"""Ablations of bc: trains each variant on a dataset without its last demonstrations, and measures its errors on those.
+"""Ablations of bc, or another family: trains each variant on a dataset without its last demonstrations.
 
-Each variant is ``NAME`` or ``NAME:field=value,field=value`` with fields of `BCConfig`, e.g.::
+Its errors on those are measured. Each variant is ``NAME`` or ``NAME:field=value,field=value``
+with fields of the family's configuration, e.g.::
 
     make bench-bc_ablation ARGS="--dataset runs/so-rlds --out runs/ablation --variant base --variant small:channels=32"
 
@@ -22,7 +23,6 @@ from benchmarks._harness import Bench
 from roboxim_core.config import from_plain
 from roboxim_core.vision.images import resized
 from roboxim_datasets.formats import open_dataset
-from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.learning.checkpoint import load_checkpoint
 from roboxim_policies.learning.data import (
     Demonstration,
@@ -32,6 +32,7 @@ from roboxim_policies.learning.data import (
     assemble,
     read_demonstrations,
 )
+from roboxim_policies.learning.families import FAMILIES, config_class
 from roboxim_policies.learning.train import Trainer
 from roboxim_policies.learning.validation import validate
 
@@ -44,17 +45,18 @@ def main() -> None:
     options = bench.options
     read = read_demonstrations(options.dataset, image_sizes=_largest(options.dataset))
     split = len(read.episodes) - options.hold_out
+    of_family = config_class(options.family)
     worst = []
     for variant in options.variant or ["base"]:
         name, _, text = variant.partition(":")
         pairs = (part.partition("=") for part in text.split(",") if part)
         fields = {key: yaml.safe_load(value) for key, _, value in pairs}
         sizes = {
-            **{name: BCConfig().side_of(name) for name in read.camera_sizes},
+            **{name: of_family().side_of(name) for name in read.camera_sizes},
             **{k: fields.pop(k) for k in [*fields] if k in read.camera_sizes},
         }
         steps = 30 if bench.quick else int(fields.pop("steps", options.steps))
-        config = replace(from_plain(fields, BCConfig, source=variant), steps=steps, image_sizes=sizes)
+        config = replace(from_plain(fields, of_family, source=variant), steps=steps, image_sizes=sizes)
         train = _assembled(read, sizes, slice(0, split))
         trainer = Trainer(train, config, options.out / name)
         trainer.run(until=trainer.step + 1)  # compiles
@@ -72,6 +74,7 @@ def main() -> None:
 def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dataset", type=Path, required=True, help="a dataset, e.g. of 'roboxim export rlds'")
     parser.add_argument("--out", type=Path, required=True, help="folder of the trainings")
+    parser.add_argument("--family", choices=FAMILIES, default="bc", help="family of policies (default: bc)")
     parser.add_argument("--variant", action="append", help="NAME or NAME:field=value,...; may be repeated")
     parser.add_argument("--steps", type=int, default=1000, help="steps of each training (default: 1000)")
     parser.add_argument("--hold-out", type=int, default=36, help="last episodes, not trained on (default: 36)")

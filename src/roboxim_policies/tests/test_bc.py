@@ -14,10 +14,11 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
 from roboxim_core.proprioception import Proprioception
 from roboxim_policies.bc.config import BCConfig
-from roboxim_policies.bc.network import Encoder, TargetHead
 from roboxim_policies.learning.checkpoint import load_checkpoint, policy_only
 from roboxim_policies.learning.data import Demonstration, Demonstrations, assemble
 from roboxim_policies.learning.features import GraspMemory, proprio_features, state_features, word_indices
+from roboxim_policies.learning.layers import TargetHead
+from roboxim_policies.learning.points import PointEncoder
 from roboxim_policies.learning.policy import LearnedPolicy
 from roboxim_policies.learning.samples import Samples, augmentation
 from roboxim_policies.learning.train import Trainer, statistics
@@ -389,7 +390,9 @@ def test_a_displacement_in_the_tools_frame_turns_with_the_tool():
 
 @pytest.mark.parametrize(("film", "outputs"), [(None, 2 * 2 * 8), (2, 2 * 2 * 8), (1, 2 * 8), (0, 0)])
 def test_the_instruction_modulates_as_many_convolutions_as_configured(film, outputs):
-    encoder = Encoder(replace(CONFIG, film=film), rng=np.random.default_rng(0))
+    encoder = PointEncoder(
+        channels=8, depth=1, keypoints=4, words=CONFIG.word_size, film=film, rng=np.random.default_rng(0)
+    )
     assert (0 if encoder.film is None else encoder.film.bias.shape[0]) == outputs
     image = jnp.asarray(np.random.default_rng(1).uniform(-0.5, 0.5, (1, 32, 32, 3)), jnp.float32)
     said = [encoder(image, value * jnp.ones((1, CONFIG.word_size))) for value in (0.0, 5.0)]

@@ -26,7 +26,7 @@ pytestmark = pytest.mark.skipif(
 )
 SMALL = {
     "steps": 150, "learning_rate": 3e-3, "batch": 16, "warmup_steps": 10, "ema_decay": 0.9, "chunk": 4, "execute": 2,
-    "channels": 8, "tokens": 4, "token_size": 16, "heads": 2, "layers": 1, "hidden": 32,
+    "channels": 8, "keypoints": 4, "token_size": 16, "heads": 2, "layers": 1, "hidden": 32,
     "image_sizes": {"workspace": 32, "wrist": 16}, "checkpoint_every": 100,
 }  # fmt: skip
 
@@ -93,7 +93,7 @@ def test_a_history_begins_with_the_first_observation_and_never_reaches_into_anot
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"brightness": 0.1}, "must be 0"), ({"token_size": 15}, "multiple of heads"),
+        ({"shift_px": 1}, "must be 0"), ({"token_size": 15}, "multiple of heads"),
         ({"image_sizes": {"wrist": 24}}, "multiples of 16"), ({"sentence_noise": -1.0}, ">= 0"),
     ],
 )  # fmt: skip

@@ -18,10 +18,10 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from roboxim_policies.act.config import ACTConfig
+from roboxim_policies.learning.attention import Attention, normalised
 from roboxim_policies.learning.data import TARGET_SIZE
 from roboxim_policies.learning.encoded_network import Perception, relu_layers
 from roboxim_policies.learning.layers import Dense, Inputs, Prediction, TargetHead, turned
-from roboxim_policies.learning.seeing import Attention, normalised
 
 
 class Network(eqx.Module):

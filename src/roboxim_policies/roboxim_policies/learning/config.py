@@ -15,7 +15,7 @@ class LearningConfig:
     FAMILY: ClassVar[str] = ""
     """Name of the family."""
     ENCODER: ClassVar[bool] = False
-    """Whether the network sees features of a pre-trained encoder instead of pictures."""
+    """Whether the network also sees features of the pictures by a pre-trained encoder."""
 
     steps: int = 2000
     """Optimiser steps."""
@@ -75,6 +75,10 @@ class LearningConfig:
     def side_of(self, camera: str) -> int:
         """Return the default side of the network's input for a camera [px]."""
         return 64 if "wrist" in camera else 96
+
+    def fine_side(self, camera: str, side: int) -> int:
+        """Return the side of the picture that trained convolutions see, when the input has ``side`` pixels."""
+        return side
 
     @property
     def frames(self) -> int:

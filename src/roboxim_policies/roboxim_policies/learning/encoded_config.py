@@ -21,12 +21,12 @@ class EncodedConfig(LearningConfig):
     image_sizes: dict[str, int] | None = None
     """Camera name to the side [px] of the encoder's square input, a multiple of 16. Cameras left out are not used.
     None: all cameras of the dataset, with 128."""
-    brightness: float = 0.0
-    """Must be 0: pictures are encoded once, before the training."""
     channels: int = 48
-    """Channels of the grid that the instruction modulates."""
-    tokens: int = 16
-    """Tokens of each camera."""
+    """Channels of the trained convolutions; the first convolution has two thirds of this number."""
+    depth: int = 1
+    """Number of trained convolutions on the final grid; from the second on they are residual."""
+    keypoints: int = 16
+    """Number of points, each a token, that each camera's picture is reduced to."""
     token_size: int = 128
     """Length of a token in the transformer, a multiple of ``heads``."""
     heads: int = 4
@@ -49,6 +49,10 @@ class EncodedConfig(LearningConfig):
         """Return the default side of the encoder's input for a camera [px]."""
         return 128
 
+    def fine_side(self, camera: str, side: int) -> int:
+        """Return the side of the picture that trained convolutions see, when the encoder's has ``side`` pixels."""
+        return min(side, super().side_of(camera))
+
     @property
     def word_noise(self) -> float:
         """Standard deviation of noise on an instruction's embedding in training."""
@@ -66,7 +70,7 @@ class EncodedConfig(LearningConfig):
             ConfigError: On a value out of range.
         """
         super().__post_init__()
-        self.require_positive("channels", "tokens", "token_size", "heads", "layers", "hidden", "word_size")
+        self.require_positive("channels", "depth", "keypoints", "token_size", "heads", "layers", "hidden", "word_size")
         if self.token_size % self.heads:
             raise ConfigError(f"token_size must be a multiple of heads ({self.heads}), got {self.token_size}")
         if any(side % 16 for side in (self.image_sizes or {}).values()):
@@ -75,5 +79,5 @@ class EncodedConfig(LearningConfig):
             raise ConfigError(f"sentence_noise must be >= 0, got {self.sentence_noise}")
         if self.wordings:
             require_set(self.wordings)
-        if self.brightness or self.shift_px:
-            raise ConfigError("brightness and shift_px must be 0: pictures are encoded once, before the training")
+        if self.shift_px:
+            raise ConfigError("shift_px must be 0: features of the pictures are computed once, before the training")

@@ -12,13 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from roboxim_policies.encoders.efficientnet import CHANNELS
 from roboxim_policies.encoders.feature_cache import STRIDES
 from roboxim_policies.encoders.sentences import SIZE
 from roboxim_policies.learning.data import TARGET_SIZE
 from roboxim_policies.learning.encoded_config import EncodedConfig
 from roboxim_policies.learning.features import STATE_SIZE
 from roboxim_policies.learning.layers import Dense, Inputs, TargetHead
-from roboxim_policies.learning.seeing import TOKEN_VALUES, TokenLearner
+from roboxim_policies.learning.points import POINT_SIZE, PointEncoder
 
 CAMERA_HIDDEN = 128
 """Width of the hidden layer of each camera's head."""
@@ -41,7 +42,7 @@ class Perception(eqx.Module):
     """From the inputs to tokens."""
 
     words: Dense
-    learners: dict[str, TokenLearner]
+    encoders: dict[str, PointEncoder]
     camera_heads: dict[str, TargetHead]
     tokens: Dense
     kinds: Array
@@ -57,35 +58,39 @@ class Perception(eqx.Module):
         """
         size, words = config.token_size, config.word_size
         self.words = Dense(SIZE, words, rng=rng, scale=0.7)
-        self.learners = {
-            name: TokenLearner(channels=config.channels, tokens=config.tokens, words=words, rng=rng)
+        self.encoders = {
+            name: PointEncoder(
+                channels=config.channels, depth=config.depth, keypoints=config.keypoints, words=words,
+                features={stride: CHANNELS[stride] for stride in STRIDES}, rng=rng,
+            )
             for name in sorted(cameras)
-        }
-        points, common = config.tokens * TOKEN_VALUES, STATE_SIZE + 2 + words
+        }  # fmt: skip
+        points, common = config.keypoints * POINT_SIZE, STATE_SIZE + 2 + words
         self.camera_heads = {name: TargetHead(points + common, CAMERA_HIDDEN, rng=rng) for name in sorted(cameras)}
-        self.tokens = Dense(TOKEN_VALUES, size, rng=rng)
-        self.kinds = jnp.asarray(rng.normal(size=(len(cameras) * config.tokens + 1, size)), jnp.float32)
+        self.tokens = Dense(POINT_SIZE, size, rng=rng)
+        self.kinds = jnp.asarray(rng.normal(size=(len(cameras) * config.keypoints + 1, size)), jnp.float32)
         self.state = Dense(common + TARGET_SIZE * len(cameras), size, rng=rng)
 
     @staticmethod
     def sizes(config: EncodedConfig, cameras: int) -> tuple[int, int]:
         """Return the lengths of `Perceived.points` and `Perceived.common`."""
-        return cameras * config.tokens * TOKEN_VALUES, STATE_SIZE + 2 + config.word_size
+        return cameras * config.keypoints * POINT_SIZE, STATE_SIZE + 2 + config.word_size
 
     def __call__(self, inputs: Inputs) -> Perceived:
         """Reduce the inputs to tokens."""
         words = jnp.tanh(self.words(inputs.words))
         common = jnp.concatenate([inputs.state, inputs.heading, words], axis=-1)
         perceived, targets = [], []
-        for name, learner in sorted(self.learners.items()):
-            perceived.append(learner({s: inputs.images[f"{name}/{s}"] for s in STRIDES}, words))
+        for name, encoder in sorted(self.encoders.items()):
+            seen = {str(stride): inputs.images[f"{name}/{stride}"] for stride in STRIDES}
+            perceived.append(encoder(inputs.images[name], words, seen))
             points = perceived[-1].reshape(len(words), -1)
             targets.append(self.camera_heads[name](jnp.concatenate([points, common], axis=-1), inputs.heading))
-        seen = jnp.concatenate(perceived, axis=1)
+        together = jnp.concatenate(perceived, axis=1)
         state = self.state(jnp.concatenate([common, *targets], axis=-1))
-        tokens = jnp.concatenate([self.tokens(seen), state[:, None]], axis=1) + self.kinds
+        tokens = jnp.concatenate([self.tokens(together), state[:, None]], axis=1) + self.kinds
         return Perceived(
-            tokens=tokens, points=seen.reshape(len(words), -1), common=common, camera_targets=targets
+            tokens=tokens, points=together.reshape(len(words), -1), common=common, camera_targets=targets
         )  # fmt: skip
 
 

@@ -27,6 +27,7 @@ from roboxim_policies.learning.data import CLOSED_BELOW, Images
 from roboxim_policies.learning.families import config_class, make_network
 from roboxim_policies.learning.features import Floats, GraspMemory, proprio_features, tool_yaw, word_indices
 from roboxim_policies.learning.layers import Inputs, Prediction
+from roboxim_policies.learning.samples import smaller
 
 
 class LearnedPolicy(BasePolicy):
@@ -129,11 +130,13 @@ class LearnedPolicy(BasePolicy):
 
     def _look(self, pixels: Mapping[str, Images]) -> dict[str, Array]:
         """Return what the network sees of pictures of shape (1, side, side, 3)."""
-        if not self._loaded.config.ENCODER:
-            return {name: jnp.asarray(picture, jnp.float32) / 255.0 - 0.5 for name, picture in pixels.items()}
-        return {
-            f"{name}/{stride}": array for name, picture in pixels.items() for stride, array in encode(picture).items()
-        }
+        config = self._loaded.config
+        fine = {name: smaller(picture, config.fine_side(name, picture.shape[1])) for name, picture in pixels.items()}
+        found = {name: jnp.asarray(picture, jnp.float32) / 255.0 - 0.5 for name, picture in fine.items()}
+        if config.ENCODER:
+            for name, picture in pixels.items():
+                found |= {f"{name}/{stride}": array for stride, array in encode(picture).items()}
+        return found
 
     def _with_history(self, newest: Inputs) -> Inputs:
         """Return the last observations as one window; before the first one, it is repeated and marked as absent."""

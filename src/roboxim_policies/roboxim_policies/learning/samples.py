@@ -16,9 +16,10 @@ import numpy.typing as npt
 import optax
 from jax import Array
 
+from roboxim_core.vision.images import resized
 from roboxim_policies.learning.checkpoint import Statistics
 from roboxim_policies.learning.config import LearningConfig
-from roboxim_policies.learning.data import CLOSED_BELOW, Demonstrations
+from roboxim_policies.learning.data import CLOSED_BELOW, Demonstrations, Images
 from roboxim_policies.learning.features import PROPRIO_SIZE, memory_features
 from roboxim_policies.learning.layers import Inputs, Network, Prediction
 
@@ -84,7 +85,8 @@ class Samples(eqx.Module):
         rise = RISE_M / safe[2] if stats.motion_scale[2] > 0 else 0.0
         empties = data.proprio[:, OPENING] < data.empty
         return Samples(
-            images={} if config.ENCODER else {name: jnp.asarray(images) for name, images in data.images.items()},
+            images={name: jnp.asarray(smaller(images, config.fine_side(name, images.shape[1])))
+                    for name, images in data.images.items()},
             proprio=jnp.asarray(data.proprio), noise=jnp.asarray(noise), position=jnp.asarray(data.proprio[:, :3]),
             yaw=jnp.asarray(data.yaw, jnp.float32), opening=jnp.asarray(data.proprio[:, OPENING]),
             motion=jnp.asarray((data.actions[:, :6] / safe).astype(np.float32)),
@@ -125,12 +127,10 @@ class Samples(eqx.Module):
         yaw = self.yaw[batch]
         heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
         state = jnp.concatenate([proprio, self._memory(batch, draws["late"], heading, failed)], axis=-1)
-        seen = draws["features"] if config.ENCODER else {
-            name: self._seen(name, batch, draws, config) for name in self.images
-        }  # fmt: skip
+        seen = {name: self._seen(name, batch, draws, config) for name in self.images}
         words = self.words[batch]
         inputs = Inputs(
-            images=seen, state=(state - self.mean) / self.scale, heading=heading,
+            images=seen | draws.get("features", {}), state=(state - self.mean) / self.scale, heading=heading,
             words=words if self.sentences is None
             else self.sentences[words, draws["wording"]] + draws.get("word_noise", 0.0),
             present=draws.get("present"),
@@ -175,6 +175,11 @@ def augmentation(config: LearningConfig, cameras: tuple[str, ...], step: int, ba
         draws[f"{camera}/gain"] = (light * color).astype(np.float32)
         draws[f"{camera}/shift"] = rng.integers(0, 2 * config.shift_px + 1, (batch, 2), dtype=np.int32)
     return {name: jnp.asarray(value) for name, value in draws.items()}
+
+
+def smaller(images: Images, side: int) -> Images:
+    """Return pictures of shape (N, height, width, 3) with a side of ``side`` pixels."""
+    return images if images.shape[1] == side else np.stack([resized(image, side, side) for image in images])
 
 
 def _shifted(pixels: Array, offsets: Array, max_shift: int) -> Array:

@@ -19,10 +19,10 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
+from roboxim_policies.learning.attention import Attention, normalised
 from roboxim_policies.learning.data import TARGET_SIZE
 from roboxim_policies.learning.encoded_network import Perception, relu_layers
 from roboxim_policies.learning.layers import Dense, Inputs, Prediction, TargetHead, turned
-from roboxim_policies.learning.seeing import Attention, normalised
 from roboxim_policies.rt1s.config import RT1SConfig
 
 
