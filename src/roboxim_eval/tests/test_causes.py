@@ -37,6 +37,11 @@ def test_an_episode_that_succeeds_as_it_was_needs_no_cause():
     assert explanation(lucky, [tally("light", 5)]).kind == "chance"
 
 
+def test_an_episode_that_fails_now_and_then_is_not_said_to_have_been_tried_with_changes():
+    sometimes = Tally(name="", words="as it was", successes=2, runs=5)
+    assert explanation(sometimes, []).sentence.startswith("No cause was looked for: as it was it succeeds 2 of 5")
+
+
 @pytest.mark.parametrize("successes", [1, 2, 3])
 def test_a_change_that_helps_now_and_then_is_no_cause(successes):
     assert explanation(AS_IT_WAS, [tally("light", successes), *FAILS]).kind == "none"

@@ -54,6 +54,8 @@ class Explanation:
         as_was = f"as it was it succeeds {self.as_it_was.successes} of {self.as_it_was.runs}"
         if self.kind == "chance":
             return f"No cause is needed: {as_was}."
+        if self.kind == "none" and not self.tried:
+            return f"No cause was looked for: {as_was}, too often to show a cause in so few runs; try more repeats."
         if self.kind == "none":
             return f"No single cause: {as_was}, and no change that was tried makes it succeed reliably."
         named = "; ".join(cause.sentence for cause in self.causes)
