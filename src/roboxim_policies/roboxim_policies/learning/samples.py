@@ -128,9 +128,12 @@ class Samples(eqx.Module):
         heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
         state = jnp.concatenate([proprio, self._memory(batch, draws["late"], heading, failed)], axis=-1)
         seen = {name: self._seen(name, batch, draws, config) for name in self.images}
+        for name, features in draws.get("features", {}).items():
+            kept = draws[f"{name.partition('/')[0]}/kept"]
+            seen[name] = features * kept.astype(features.dtype)
         words = self.words[batch]
         inputs = Inputs(
-            images=seen | draws.get("features", {}), state=(state - self.mean) / self.scale, heading=heading,
+            images=seen, state=(state - self.mean) / self.scale, heading=heading,
             words=words if self.sentences is None
             else self.sentences[words, draws["wording"]] + draws.get("word_noise", 0.0),
             present=draws.get("present"),
@@ -174,6 +177,9 @@ def augmentation(config: LearningConfig, cameras: tuple[str, ...], step: int, ba
         color = 1 + 0.2 * config.brightness * rng.uniform(-1, 1, (batch, 1, 1, 3))
         draws[f"{camera}/gain"] = (light * color).astype(np.float32)
         draws[f"{camera}/shift"] = rng.integers(0, 2 * config.shift_px + 1, (batch, 2), dtype=np.int32)
+    if config.ENCODER:
+        for camera in cameras:
+            draws[f"{camera}/kept"] = rng.uniform(size=(batch, 1, 1, 1)) >= config.feature_dropout
     return {name: jnp.asarray(value) for name, value in draws.items()}
 
 

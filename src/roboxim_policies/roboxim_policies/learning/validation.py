@@ -131,6 +131,7 @@ def _undisturbed(supply: Supply, cameras: tuple[str, ...], part: Any) -> tuple[j
     """Return samples without augmentation, each with what a policy would have seen before it."""
     batch, present = supply.windows_before(part)
     still: dict[str, Any] = {f"{camera}/gain": jnp.ones((len(batch), 1, 1, 1)) for camera in cameras}
+    still |= {f"{camera}/kept": jnp.ones((len(batch), 1, 1, 1)) for camera in cameras}
     none = jnp.zeros(len(batch), jnp.int32)
     still |= {"proprio": jnp.zeros((len(batch), PROPRIO_SIZE)), "late": none, "wording": none}
     return jnp.asarray(batch), still | supply.given(batch, present)
