@@ -25,25 +25,25 @@ class EncodedConfig(LearningConfig):
     """Channels of the trained convolutions; the first convolution has two thirds of this number."""
     depth: int = 1
     """Number of trained convolutions on the final grid; from the second on they are residual."""
-    keypoints: int = 16
+    keypoints: int = 32
     """Number of points, each a token, that each camera's picture is reduced to."""
-    token_size: int = 128
+    token_size: int = 64
     """Length of a token in the transformer, a multiple of ``heads``."""
     heads: int = 4
     """Heads of each attention."""
-    layers: int = 2
+    layers: int = 1
     """Layers of the transformer."""
     hidden: int = 256
     """Width of the fully connected layers."""
     word_size: int = 32
     """Length of the vector that the instruction's embedding is reduced to."""
-    sentence_noise: float = 0.3
+    sentence_noise: float = 0.1
     """Standard deviation of noise on the instruction's embedding in training, relative to its numbers, so that a
     wording that is near to a known one is understood as that one."""
 
-    dropped: float = 0.0
+    dropped: float = 0.5
     """Probability that a training sample lacks a camera's features, so that the trained convolutions learn to see
-    without them, 0..1 (exclusive)."""
+    without them, 0..1 (exclusive). Without it, a network remembers the features of its few hundred scenes."""
     wordings: str = ""
     """Set of ``config/wordings`` in whose words each instruction is given in training, too, e.g. ``trained``: one is
     drawn for each sample. Empty: only the instruction itself."""
