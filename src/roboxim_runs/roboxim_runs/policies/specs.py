@@ -73,7 +73,8 @@ class ChosenPolicy(PolicySpec):
         inner = self.options.get("policy")
         if self.spec != REWORDED or not isinstance(inner, str):
             return self
-        options = {key: value for key, value in self.options.items() if key not in ("policy", "instruction")}
+        other_words = ("policy", "instruction", "wordings")
+        options = {key: value for key, value in self.options.items() if key not in other_words}
         return replace(self, spec=inner, options=options, make=find_policy(inner)).acting
 
     @property

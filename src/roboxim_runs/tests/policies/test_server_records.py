@@ -71,10 +71,11 @@ def test_deadline_longer_than_the_evaluators_is_refused(tmp_path):
         server_record(chosen(server.url), RunFolder(tmp_path / "there"), 1, 30.0)
 
 
-def test_remote_policy_with_other_words_is_recognised_as_well(tmp_path):
+@pytest.mark.parametrize("words", [{"instruction": ""}, {"wordings": "german"}])
+def test_remote_policy_with_other_words_is_recognised_as_well(words, tmp_path):
     from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
 
-    options = {"policy": "openpi", "instruction": "", "url": "ws://localhost:1", "version": "1", "reconnect_s": 0.0}
+    options = {"policy": "openpi", **words, "url": "ws://localhost:1", "version": "1", "reconnect_s": 0.0}
     spec = PolicySpec(spec="reworded", name="mute", options={**options, "convention": "libero"})
     (policy,) = find_policies([spec])
     assert policy.acting.is_remote

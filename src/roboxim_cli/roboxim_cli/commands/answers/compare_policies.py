@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
 
 from roboxim_cli import strict
@@ -22,7 +20,7 @@ from roboxim_cli.options import option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(
     first: str, second: str, checkpoints: tuple[str, ...], policy_options: tuple[str, ...], task: str, episodes: int,
-    seed: int, size: Any, as_json: bool,
+    seed: int, size: str, as_json: bool,
 ) -> None:  # fmt: skip
     r"""Run policies A and B in the same scenes, and find the moment that decides.
 
@@ -37,6 +35,7 @@ def command(
     import json
 
     from roboxim_cli.commands.answers._policies import chosen
+    from roboxim_cli.options import parse_size
     from roboxim_core.episode import RunConfig
     from roboxim_eval.answers.moments import SceneComparison, summary
     from roboxim_runs.answers.comparing import CompareRun, compare
@@ -44,7 +43,7 @@ def command(
     from roboxim_runs.episodes.task_choice import task_text
 
     one, two = chosen([first, second], checkpoints, policy_options)
-    width, height = size if isinstance(size, tuple) else (size or 0, size or 0)
+    width, height = parse_size(size)
     config = CompareRun(
         task_config=task_text(task), scenes=episodes, seed=seed, run=RunConfig(image_width=width, image_height=height)
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -28,7 +27,7 @@ from roboxim_cli.options import option
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(
     policy: str, checkpoints: tuple[str, ...], policy_options: tuple[str, ...], task: str, factors: tuple[str, ...],
-    first: int, rounds: int, confirm: int, seed: int, size: Any, out: Path | None, as_json: bool,
+    first: int, rounds: int, confirm: int, seed: int, size: str, out: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     r"""Search a task's continuous factors for regions where POLICY fails.
 
@@ -43,6 +42,7 @@ def command(
     import json
 
     from roboxim_cli.commands.answers._policies import chosen
+    from roboxim_cli.options import parse_size
     from roboxim_core.episode import RunConfig
     from roboxim_eval.answers.regions import SearchConfig
     from roboxim_runs.answers.mining import MineConfig, mine
@@ -50,7 +50,7 @@ def command(
     from roboxim_runs.episodes.task_choice import task_text
 
     (one,) = chosen([policy], checkpoints, policy_options)
-    width, height = size if isinstance(size, tuple) else (size or 0, size or 0)
+    width, height = parse_size(size)
     config = MineConfig(
         task_config=task_text(task or "pick_cube"), factors=factors,
         search=SearchConfig(first=first, rounds=rounds, confirm=confirm, seed=seed),
