@@ -74,7 +74,8 @@ def _other_cells() -> Iterator[dict[str, Any]]:
     known = {model: library.object(model) for model in library.object_ids}
     for drawer in DRAWERS:
         yield {"skill": "close_drawer", "thing": drawer, "core": False, "change": _drawer(drawer)}
-    for skill in sorted(set(SKILLS) - {"open_drawer", "close_drawer", "push_button"}):
+    yield {"skill": "flip_switch", "thing": "switch", "core": False}
+    for skill in sorted(set(SKILLS) - {"open_drawer", "close_drawer", "push_button", "flip_switch"}):
         models = SKILLS[skill].suited(known, {"container": "bowl"})["target"]
         if skill not in (*ANY_OBJECT, "put_into"):
             models = yaml.safe_load(task_text(skill=skill))["objects"]["target"]["models"]["values"]

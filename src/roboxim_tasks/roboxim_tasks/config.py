@@ -94,7 +94,7 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
         lenient=document.build(lenient, skill.Parameters, ("lenient",)),
         reset=reset,
         objects=objects,
-        templates=config.templates or Choice(values=_templates(document, config, skill)),
+        templates=_templates(document, config, skill),
         max_steps=config.max_steps or max(0, ticks(skill.max_steps / DEFAULT_RATE_HZ, config.rate_hz)),
     )
     check_arguments(document, complete, library)
@@ -103,12 +103,23 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
     return complete
 
 
-def _templates(document: Document, config: TaskConfig, skill: Skill) -> tuple[str, ...]:
-    """Return the wordings of a task that gives no templates."""
+def _templates(document: Document, config: TaskConfig, skill: Skill) -> Choice:
+    """Return a task's templates: its own, or those of its set of wordings, or its skill's.
+
+    A resolved configuration holds the set's name and its templates, which agree.
+
+    Raises:
+        ConfigError: When ``templates`` and ``wordings`` are given and differ, or the set is unknown.
+    """
     if not config.wordings:
-        return skill.templates[: None if config.paraphrases else 1]
+        return config.templates or Choice(values=skill.templates[: None if config.paraphrases else 1])
     with document.section(("wordings",)):
-        return wordings_of(config.skill, config.wordings)
+        worded = wordings_of(config.skill, config.wordings)
+        if config.templates and tuple(config.templates.values) != tuple(worded):
+            raise ConfigError(
+                f"'{config.wordings}' and `templates` both give the instructions: leave one of the two out"
+            )
+    return Choice(values=worded)
 
 
 def _in_order(names: Iterable[str]) -> list[str]:

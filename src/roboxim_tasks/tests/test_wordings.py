@@ -37,6 +37,14 @@ def test_a_task_is_worded_by_a_set():
         task_config(parse_yaml("skill: pick_up\nwordings: german\n"))
 
 
+def test_wordings_beside_other_templates_are_refused_and_a_resolved_task_is_not():
+    with pytest.raises(ConfigError, match="wordings.*'held_out' and `templates` both give the instructions"):
+        task_config(parse_yaml("skill: pick_up\nwordings: held_out\ntemplates: {values: ['Lift the {target}']}\n"))
+    same = ", ".join(f"'{template}'" for template in wordings_of("pick_up", "held_out"))
+    again = task_config(parse_yaml(f"skill: pick_up\nwordings: held_out\ntemplates: {{values: [{same}]}}\n"))
+    assert again.templates.values == wordings_of("pick_up", "held_out")
+
+
 def test_an_instruction_is_said_in_other_words_and_another_language():
     assert "Grab the red cube" in reworded("Pick up the red cube", "held_out")
     assert reworded("Pick up the red cube", "german")[0] == "Heb den roten Würfel hoch"

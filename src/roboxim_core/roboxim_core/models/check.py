@@ -277,7 +277,7 @@ def _textures(model: ObjectModel) -> list[Finding]:
 def _grasps(model: ObjectModel, points: Array, max_opening_m: float) -> list[Finding]:
     grasps = [*model.grasps, *(grasp for handle in model.handles for grasp in handle.grasps)]
     fixture = sum(link.mass for link in model.links) >= FIXTURE_KG
-    if not grasps and not fixture and not {"support", "pressable"} & set(model.affordances):
+    if not grasps and not fixture and not {"support", "pressable", "flippable"} & set(model.affordances):
         return [_warning("no grasps: nothing can pick it up; give it `grasps` and the affordance graspable")]
     if model.grasps and "graspable" not in model.affordances:
         return [_warning("has grasps but not the affordance graspable: no task will pick it up")]

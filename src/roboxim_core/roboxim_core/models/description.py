@@ -174,9 +174,20 @@ class PressPoint:
     """Joint position from which the button counts as pressed [m]."""
 
 
-AFFORDANCES = ("graspable", "support", "container", "articulated", "openable", "pressable", "upright", "pushable")
+AFFORDANCES = (
+    "graspable",
+    "support",
+    "container",
+    "articulated",
+    "openable",
+    "pressable",
+    "flippable",
+    "upright",
+    "pushable",
+)
 """Abilities of an object: ``support`` has surfaces, ``container`` interiors, ``openable`` handles,
-``pressable`` press points; ``upright`` can topple and be put upright; ``pushable`` moves steadily when pushed."""
+``pressable`` press points; ``flippable`` has a lever, its first handle; ``upright`` can topple and be put upright;
+``pushable`` moves steadily when pushed."""
 
 
 @dataclass(frozen=True, kw_only=True)

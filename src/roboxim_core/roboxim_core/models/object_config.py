@@ -39,6 +39,7 @@ NEEDS = {
     "articulated": "joints",
     "openable": "handles",
     "pressable": "press_points",
+    "flippable": "handles",
     "upright": "toppled",
 }
 """Affordance to the list that must not be empty for it."""

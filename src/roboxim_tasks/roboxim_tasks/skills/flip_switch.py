@@ -1,0 +1,227 @@
+"""Flip the lever of a switch to its other side.
+
+Randomisation: the switch's place, yaw and colour; the side on which its lever stands; where the end effector starts;
+distractors, other switches among them.
+
+Success: the lever has turned by more than ``flip_rad`` from where it stood, pushed by fingers of the robot alone, the
+robot does not touch the switch, and the box has moved by less than ``moved_m``, for ``hold_s``. As in every task,
+the joints of other objects have to stay.
+
+Non-obvious:
+    - "Flip" says no direction: the goal is the side on which the lever does not stand at the start. Flipping it twice
+      undoes it.
+    - The way of the lever counts only in ticks in which nothing but fingers touches the switch.
+    - The fingers pass 18 mm above the box, so that they push the lever near its pivot and need not follow its arc.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.articulation import object_link_poses
+from roboxim_core.models.description import JointModel, ObjectModel
+from roboxim_core.poses import Pose
+from roboxim_core.specs import SceneSpec, TaskSpec
+from roboxim_core.state import StateRecord
+from roboxim_tasks.components import Constraint, ResetContext
+from roboxim_tasks.handling import touching_links
+from roboxim_tasks.measures import (
+    Condition,
+    Conditions,
+    Measure,
+    above,
+    joint_value,
+    released,
+    shift,
+)
+from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, shifted
+from roboxim_tasks.reach import reaches_in_lines, start_clear
+from roboxim_tasks.sampling.generators import GenerationContext, generate_task
+from roboxim_tasks.script import SLOW, Script
+from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
+
+APPROACH_M = 0.08
+HEIGHT_M = 0.018
+"""Height of the tool centre point above the lever's pivot [m]."""
+BEGIN_M = 0.072
+"""Distance from the pivot at which the push begins, on the lever's side [m]."""
+END_M = 0.002
+"""Distance beyond the pivot at which the push ends [m]."""
+DWELL_S = 0.2
+YAWS = (0.0, math.pi)
+"""Headings of the tool against the push: the closed fingers are narrow along it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlipSwitchParameters:
+    """Thresholds of success."""
+
+    flip_rad: float = 0.9
+    """Turn of the lever that a flip must exceed [rad]."""
+    moved_m: float = 0.03
+    """Largest shift of the switch's box [m]."""
+    hold_s: float = 0.3
+    """Time that the lever must stay flipped [s]."""
+    joint: str = ""
+    """Name of the lever's joint; set by the generator."""
+    fingers: str = ""
+    """Names of the robot's finger links, separated by blanks; set by the generator."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: When a threshold is out of range.
+        """
+        if self.flip_rad <= 0 or self.moved_m <= 0 or self.hold_s < 0:
+            raise ConfigError(f"needs flip_rad > 0, moved_m > 0 and hold_s >= 0, got {self}")
+
+
+@register
+class FlipSwitch(Skill):
+    """Generator, resetter, executor and evaluator of ``flip_switch``."""
+
+    name = "flip_switch"
+    roles = {"target": Role(affordance="flippable", models=("switch",))}
+    templates = ("Flip the {target}", "Toggle the {target}", "Flip the lever of the {target} to the other side")
+    components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
+    max_steps = 120
+    Parameters = FlipSwitchParameters
+
+    def generate(self, context: GenerationContext) -> TaskSpec:
+        """Draw a task and record the names of the lever's joint and of the robot's fingers."""
+        task = generate_task(context)
+        target = task.objects["target"]
+        (lever, *_) = context.library.object(target.model, target.modifiers).handles
+        robot = context.library.robot(context.config.base_scene().robot.model)
+        fingers = " ".join(robot.gripper.links[1:])
+        return replace(task, arguments=task.arguments | {"joint": lever.joint, "fingers": fingers})
+
+    def constraints(self, context: ResetContext) -> Sequence[Constraint]:
+        """Require that the arm can reach the lever's side and push it over."""
+        entity = context.task.objects["target"].entity
+
+        def reachable(scene: SceneSpec) -> bool:
+            spec = scene.entity(entity)
+            model = context.library.entity_model(spec)
+            at = lever_at(model, scene.robot.pose.inverse() @ spec.pose, dict(spec.joint_positions))
+            return any(
+                reaches_in_lines(context, shifted(begin, APPROACH_M), begin, end)
+                for begin, end in (at.push(yaw) for yaw in YAWS)
+            )
+
+        return (Constraint(name="target_reachable", holds=reachable), start_clear(context))
+
+    def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
+        """Go down beside the lever with closed fingers, push it over, go up; the nearest heading comes first."""
+        entity = scene.task.objects["target"].entity
+        state = scene.state.entity(entity)
+        joints = dict(zip(state.joint_names, state.joint_positions, strict=True))
+        at = lever_at(scene.model_of(entity), scene.pose_of(entity), joints)
+        for yaw in at.headings(scene.pose_tcp):
+            script = Script(scene)
+            script.opening = 0.0
+            pushed(script, entity, at, *at.push(yaw))
+            yield script.stages
+
+    def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
+        """Judge: flipped by fingers, let go, the box in its place."""
+        parameters: FlipSwitchParameters = parameters_of(task, FlipSwitchParameters)
+        target, joint, least = task.objects["target"].entity, parameters.joint, above(parameters.flip_rad)
+        start = joint_value(initial, target, joint, "joint_positions")
+        turn = Measure(
+            name="turn_rad", of=lambda state: abs(joint_value(state, target, joint, "joint_positions") - start)
+        )
+        return Conditions(
+            (
+                Condition(name="flipped", measure=turn, least=least),
+                Condition(name="by_finger_alone", measure=_finger_turn(target, parameters, initial), least=least),
+                Condition(
+                    name="stayed", measure=shift(target, initial), most=parameters.moved_m, reason="moved_away"
+                ),
+                released(target),
+            ),
+            hold_s=parameters.hold_s,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeverAt:
+    """A lever, in the frame of its switch's base pose."""
+
+    joint: JointModel
+    """Its joint."""
+    pivot: Pose
+    """Pose of the pivot, z upwards; the lever turns in the plane of x and z."""
+    side: float
+    """Side of x to which it is to be pushed, 1 or -1."""
+
+    @property
+    def goal_rad(self) -> float:
+        """Position of the joint after the flip [rad]."""
+        return self.joint.upper if self.side > 0 else self.joint.lower
+
+    @property
+    def way_rad(self) -> float:
+        """Heading of the push in the base [rad]."""
+        x, y, _ = self.pivot.rotation.apply([self.side, 0.0, 0.0])
+        return math.atan2(y, x)
+
+    def tool(self, along_m: float, yaw_rad: float, up_m: float = HEIGHT_M) -> Pose:
+        """Return the tool's pose, pointing down, at a distance beyond the pivot along the push [m]."""
+        from scipy.spatial.transform import Rotation
+
+        x, y, z = self.pivot.apply((self.side * along_m, 0.0, up_m)).tolist()
+        down = Rotation.from_euler("z", self.way_rad + yaw_rad) * Rotation.from_euler("x", math.pi)
+        return Pose.from_arrays((x, y, z), down)
+
+    def push(self, yaw_rad: float) -> tuple[Pose, Pose]:
+        """Return the tool's poses at the begin and the end of the push."""
+        return self.tool(-BEGIN_M, yaw_rad), self.tool(END_M, yaw_rad)
+
+    def headings(self, tcp: Pose) -> list[float]:
+        """Return `YAWS`, the nearest to the tool's present heading first."""
+        x, y, _ = tcp.rotation.apply([1.0, 0.0, 0.0])
+        now = math.atan2(y, x) - self.way_rad
+        return sorted(YAWS, key=lambda yaw: abs(math.remainder(now - yaw, 2 * math.pi)))
+
+
+def lever_at(model: ObjectModel, base: Pose, joints: dict[str, float]) -> LeverAt:
+    """Return the lever of a switch at its base pose and joint positions [rad]."""
+    lever = model.handles[0]
+    joint = next(joint for joint in model.joints if joint.name == lever.joint)
+    place = object_link_poses(model, {})[joint.parent] @ joint.pose
+    upright = Pose(position=place.position)
+    return LeverAt(
+        joint=joint, pivot=base @ upright, side=1.0 if 2 * joints[joint.name] < joint.lower + joint.upper else -1.0
+    )
+
+
+def pushed(script: Script, entity: str, at: LeverAt, begin: Pose, end: Pose, speed: float = SLOW) -> None:
+    """Add the stages of a push: down beside the lever, along, dwell, and up."""
+    touching = fingers_touch(script.scene, entity)
+    script.move(shifted(begin, APPROACH_M), name="approach", free=True)
+    script.move(begin, name="reach", speed=max(speed, SLOW))
+    script.set_entity(entity, joints={at.joint.name: at.goal_rad})
+    script.move(end, name="push", speed=speed, touching=touching)
+    script.wait(DWELL_S, name="dwell")
+    script.move(shifted(end, APPROACH_M), name="withdraw", touching=touching)
+
+
+def _finger_turn(target: str, parameters: FlipSwitchParameters, initial: StateRecord) -> Measure:
+    """Measure the lever's turn so far less the way that it went while something else of the robot touched it [rad]."""
+    fingers = set(parameters.fingers.split())
+    start = last = joint_value(initial, target, parameters.joint, "joint_positions")
+    seen = [last, 0.0]
+
+    def turn(state: StateRecord) -> float:
+        now = joint_value(state, target, parameters.joint, "joint_positions")
+        if not touching_links(state, target) <= fingers:
+            seen[1] += abs(now - seen[0])
+        seen[0] = now
+        return abs(now - start) - seen[1]
+
+    return Measure(name="finger_turn_rad", of=turn)
