@@ -78,7 +78,7 @@ def test_whole_episodes_of_nothing_do_not_solve_it(skill, run):
     assert not any(result.success_ever for result in results)
 
 
-FLOORS = dict.fromkeys(("push_button", "open_drawer", "close_drawer"), 0.10)
+FLOORS = dict.fromkeys(("push_button", "flip_switch", "open_drawer", "close_drawer"), 0.10)
 """Successes allowed to a randomly moving arm, which bumps into buttons and drawers; other skills: none."""
 
 

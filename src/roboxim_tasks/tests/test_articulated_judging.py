@@ -95,6 +95,25 @@ def test_pressing_another_button_fails_for_good():
     assert (verdict.success, verdict.failed, verdict.reason) == (False, True, "pressed_other_button")
 
 
+def switch(seq, angle, contacts=()):
+    return tick(seq, EntityState(name="target", joint_names=("flip",), joint_positions=(angle,)), contacts=contacts)
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "contacts", "reason"),
+    [(0.0, 0.8, (BY_FINGER,), ""), (0.8, 0.0, (BY_FINGER,), ""), (0.0, 0.4, (BY_FINGER,), "not_flipped"),
+     (0.0, 0.8, (BY_FINGER, TOUCHED), "not_by_finger_alone")],
+    ids=["up", "down", "half_way", "by_the_hand"],
+)  # fmt: skip
+def test_a_switch_counts_on_its_other_side_by_fingers_alone_and_let_go(start, goal, contacts, reason):
+    of = task("flip_switch", flip_rad=0.6, joint="flip", fingers="finger other_finger")
+    way = [switch(k, start + (goal - start) * k / 8, contacts if k else ()) for k in range(9)]
+    left = [switch(9 + k, goal) for k in range(6)]
+    assert fold(of, [*way, *left])[-1].reason == reason
+    held = [switch(9 + k, goal, (BY_FINGER,)) for k in range(6)]
+    assert not fold(of, [*way, *held])[-1].success
+
+
 def drawers(seq, top, middle=0.0, contacts=()):
     state = EntityState(name="target", joint_names=("top", "middle"), joint_positions=(top, middle))
     return tick(seq, state, contacts=contacts)

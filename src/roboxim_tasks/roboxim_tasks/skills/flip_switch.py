@@ -8,8 +8,7 @@ robot does not touch the switch, and the box has moved by less than ``moved_m``,
 the joints of other objects have to stay.
 
 Non-obvious:
-    - "Flip" says no direction: the goal is the side on which the lever does not stand at the start. Flipping it twice
-      undoes it.
+    - "Flip" says no direction: the goal is the side on which the lever does not stand at the start.
     - The way of the lever counts only in ticks in which nothing but fingers touches the switch.
     - The fingers pass 18 mm above the box, so that they push the lever near its pivot and need not follow its arc.
 """
@@ -48,8 +47,8 @@ HEIGHT_M = 0.018
 """Height of the tool centre point above the lever's pivot [m]."""
 BEGIN_M = 0.072
 """Distance from the pivot at which the push begins, on the lever's side [m]."""
-END_M = 0.002
-"""Distance beyond the pivot at which the push ends [m]."""
+END_M = -0.004
+"""Position of the tool centre point at the end of the push, beyond the pivot [m]; the fingers reach 11 mm farther."""
 DWELL_S = 0.2
 YAWS = (0.0, math.pi)
 """Headings of the tool against the push: the closed fingers are narrow along it."""
@@ -59,7 +58,7 @@ YAWS = (0.0, math.pi)
 class FlipSwitchParameters:
     """Thresholds of success."""
 
-    flip_rad: float = 0.9
+    flip_rad: float = 0.6
     """Turn of the lever that a flip must exceed [rad]."""
     moved_m: float = 0.03
     """Largest shift of the switch's box [m]."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, shifted
 from roboxim_tasks.script import Script
-from roboxim_tasks.skills.flip_switch import APPROACH_M, BEGIN_M, END_M, HEIGHT_M, YAWS, LeverAt, lever_at, pushed
+from roboxim_tasks.skills.flip_switch import APPROACH_M, BEGIN_M, END_M, HEIGHT_M, LeverAt, lever_at, pushed
 from roboxim_tasks.trials.base import cheat, honest
 from roboxim_tasks.trials.moves import own_stages, slowed, without
 
@@ -59,18 +59,6 @@ def half_way(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     yield from (script.stages for script in pushes(scene, end_m=-0.016))
 
 
-@cheat("flip_switch", reason="not_flipped")
-def there_and_back(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Flip it, and flip it back."""
-    at = lever_in(scene)
-    back = LeverAt(joint=at.joint, pivot=at.pivot, side=-at.side)
-    for script in pushes(scene):
-        for yaw in YAWS:
-            pushed(script, "target", back, *back.push(yaw))
-            yield script.stages
-            break
-
-
 @cheat("flip_switch", reason="opened_other", change=OTHER_SWITCH)
 def other_switch(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Flip the other switch."""
@@ -107,7 +95,7 @@ def quickly(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 @honest("flip_switch")
 def higher_and_farther(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Push the lever nearer to its tip, and therefore farther."""
-    yield from (script.stages for script in pushes(scene, up_m=0.026, end_m=0.010))
+    yield from (script.stages for script in pushes(scene, up_m=0.026, end_m=0.0))
 
 
 @honest("flip_switch")
