@@ -163,6 +163,7 @@ def try_out(version: str) -> dict[str, Any]:
                 shown = " ".join(str(part) for part in command)
                 raise SetupError(f"{done.stdout[-3000:]}\n`{shown}` failed on Python {version}")
             record[name] = round(time.monotonic() - begun, 1)
+            say(f"    {name.removesuffix('_s')}: {record[name]} s")
 
         def install(name: str, what: str) -> None:
             do(
