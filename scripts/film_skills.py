@@ -74,6 +74,7 @@ FILMS = {
     "put_into": Film(objects=("lemon",), distractors="2", seed=3, zoom=1.5),
     "rotate": Film(objects=("knife",), distractors="2", seed=3, zoom=1.7),
     "push_button": Film(colors="green", distractors="3", seed=0, zoom=1.5),
+    "flip_switch": Film(colors="green", distractors="2", seed=0, zoom=1.5),
     "open_drawer": Film(distractors="2", seed=3, episodes=(1,), zoom=1.15),
     "close_drawer": Film(distractors="2", seed=4, episodes=(2,), zoom=1.15),
     "push_object": Film(objects=("sponge",), distractors="1", seed=8, zoom=1.3),
