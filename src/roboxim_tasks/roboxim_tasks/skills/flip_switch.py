@@ -10,7 +10,7 @@ the joints of other objects have to stay.
 Non-obvious:
     - "Flip" says no direction: the goal is the side on which the lever does not stand at the start.
     - The way of the lever counts only in ticks in which nothing but fingers touches the switch.
-    - The fingers pass 18 mm above the box, so that they push the lever near its pivot and need not follow its arc.
+    - The fingers pass 26 mm above the box: lower, they would jam against the lever's foot with 200 N instead of 1 N.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 
 APPROACH_M = 0.08
-HEIGHT_M = 0.018
+HEIGHT_M = 0.026
 """Height of the tool centre point above the lever's pivot [m]."""
 BEGIN_M = 0.072
 """Distance from the pivot at which the push begins, on the lever's side [m]."""
-END_M = -0.004
+END_M = -0.008
 """Position of the tool centre point at the end of the push, beyond the pivot [m]; the fingers reach 11 mm farther."""
 DWELL_S = 0.2
 YAWS = (0.0, math.pi)

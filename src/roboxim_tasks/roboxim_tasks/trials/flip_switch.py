@@ -56,7 +56,7 @@ def pushes(
 @cheat("flip_switch", reason="not_flipped")
 def half_way(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Push the lever until it is about upright."""
-    yield from (script.stages for script in pushes(scene, end_m=-0.016))
+    yield from (script.stages for script in pushes(scene, end_m=-0.017))
 
 
 @cheat("flip_switch", reason="opened_other", change=OTHER_SWITCH)
@@ -95,7 +95,7 @@ def quickly(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 @honest("flip_switch")
 def higher_and_farther(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Push the lever nearer to its tip, and therefore farther."""
-    yield from (script.stages for script in pushes(scene, up_m=0.026, end_m=0.0))
+    yield from (script.stages for script in pushes(scene, up_m=0.031, end_m=-0.005))
 
 
 @honest("flip_switch")
@@ -105,7 +105,7 @@ def in_two_pushes(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     for yaw in at.headings(scene.pose_tcp):
         script = Script(scene)
         script.opening = 0.0
-        pushed(script, "target", at, at.tool(-BEGIN_M, yaw), at.tool(-0.016, yaw))
+        pushed(script, "target", at, at.tool(-BEGIN_M, yaw), at.tool(-0.017, yaw))
         begin, end = at.push(yaw)
         script.move(shifted(begin, APPROACH_M), name="return")
         script.move(begin, name="reach", speed=0.6, touching=fingers_touch(scene, "target"))
