@@ -67,6 +67,7 @@ def main() -> int:
         sys.executable,
         "-m",
         "pdoc",
+        *("--template-directory", str(ROOT / "scripts" / "pdoc")),
         "--docformat",
         "google",
         "--output-directory",

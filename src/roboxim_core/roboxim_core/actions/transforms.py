@@ -4,15 +4,13 @@ An action of any meaning, together with the arm's commanded and measured state, 
 centre point or arm joint positions, and an opening of the gripper. A transform computes the target from an action of
 one meaning and expresses it in the other. Requirements and invertibility:
 
-==================================  ===============================  =========================================
-from, to                            requires                         invertible
-==================================  ===============================  =========================================
-end effector to end effector        poses that a delta adds to       yes, up to rounding
-joint space to joint space          joints that a delta adds to      yes, up to rounding
-joint space to end effector         the same, and kinematics (FK)    no: a redundant arm reaches a pose in many ways
-end effector to joint space         the same, and kinematics (IK)    by FK, to the IK's tolerance, where reachable
-different rates                     -                                no transform exists
-==================================  ===============================  =========================================
+| from, to | requires | invertible |
+| --- | --- | --- |
+| end effector to end effector | poses that a delta adds to | yes, up to rounding |
+| joint space to joint space | joints that a delta adds to | yes, up to rounding |
+| joint space to end effector | the same, and kinematics (FK) | no: a redundant arm reaches a pose in many ways |
+| end effector to joint space | the same, and kinematics (IK) | by FK, to the IK's tolerance, where reachable |
+| different rates | - | no transform exists |
 
 Every transform that requires no kinematics is invertible: its inverse returns an equivalent action, with the same
 numbers if the original ones were canonical (Euler angles within +-pi, a quaternion of norm 1). Numbers are not clipped,

@@ -3,12 +3,12 @@
 A convention defines the requests to one family of policies and the meaning of their answers. The same file defines how
 training data for such a policy is written, so that training and evaluation agree.
 
-==================  =======================================================================================
-`observe`           observation window -> request: plain dict of pictures, state vectors and the prompt
-`decode_actions`    the policy's numbers -> actions of the meaning `Convention.semantics`, with no state of the arm
-`to_actions`        the policy's numbers -> actions of the meaning `Convention.run_semantics`
-`from_actions`      RoboXim's actions -> the policy's numbers (exports, known-answer servers, round trips)
-==================  =======================================================================================
+| part | from what to what |
+| --- | --- |
+| `observe` | observation window -> request: plain dict of pictures, state vectors and the prompt |
+| `decode_actions` | the policy's numbers -> actions of the meaning `Convention.semantics`, with no state of the arm |
+| `to_actions` | the policy's numbers -> actions of the meaning `Convention.run_semantics` |
+| `from_actions` | RoboXim's actions -> the policy's numbers (exports, known-answer servers, round trips) |
 
 Non-obvious: in a chunk of deltas to the *measured* state, action k is added to the state measured at tick k, which is
 not known when the chunk arrives. A policy therefore declares `Convention.semantics` and returns decoded actions; the

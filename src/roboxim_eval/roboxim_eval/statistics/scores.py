@@ -3,15 +3,14 @@
 With u the success rate of the leave-out condition in held-out cells, s that of the baseline, b that of the leave-out
 condition without words (``blind``), and u_seen, s_seen the rates in cells that both have seen:
 
-============  =================  ===============================================================================
-score         formula            guards against
-============  =================  ===============================================================================
-absolute      u                  a good ratio of two bad policies; it ranks models
-gap           s - u              the blow-up of a ratio; the primary test
-relative      u / s              nothing by itself, so it never stands alone; refused if the baseline is too weak
-words         u - b              a policy that ignores the instruction substitution  see below          memorised pairs
-competence    u_seen - s_seen    different numbers of demonstrations a cell; a weakened baseline
-============  =================  ===============================================================================
+| score | formula | guards against |
+| --- | --- | --- |
+| absolute | u | a good ratio of two bad policies; it ranks models |
+| gap | s - u | the blow-up of a ratio; the primary test |
+| relative | u / s | nothing by itself, so it never stands alone; refused if the baseline is too weak |
+| words | u - b | a policy that ignores the instruction |
+| substitution | see below | memorised pairs |
+| competence | u_seen - s_seen | different numbers of demonstrations a cell; a weakened baseline |
 
 Substitution is the share of failed held-out episodes that satisfied another instruction of the training. If no scene
 allows one, it is always 0; `roboxim_runs.experiments.scene_leakage` reports this from the task files.
