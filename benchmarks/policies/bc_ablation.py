@@ -1,7 +1,7 @@
 """Ablations of bc, or another family: trains each variant on a dataset without its last demonstrations.
 
-Its errors on those are measured. Each variant is ``NAME`` or ``NAME:field=value,field=value``
-with fields of the family's configuration, e.g.::
+Its errors on those, or on another dataset (``--new``), are measured. Each variant is ``NAME`` or
+``NAME:field=value,field=value`` with fields of the family's configuration, e.g.::
 
     make bench-bc_ablation ARGS="--dataset runs/so-rlds --out runs/ablation --variant base --variant small:channels=32"
 
@@ -44,7 +44,8 @@ def main() -> None:
     bench = Bench("bc_ablation", __doc__, _options)
     options = bench.options
     read = read_demonstrations(options.dataset, image_sizes=_largest(options.dataset))
-    split = len(read.episodes) - options.hold_out
+    new = read_demonstrations(options.new, image_sizes=_largest(options.new)) if options.new else read
+    split = len(read.episodes) - (0 if options.new else options.hold_out)
     of_family = config_class(options.family)
     worst = []
     for variant in options.variant or ["base"]:
@@ -63,7 +64,8 @@ def main() -> None:
         first, started = trainer.step, time.process_time()
         path = trainer.run()
         cpu_ms = 1e3 * (time.process_time() - started) / max(1, config.steps - first)
-        found = validate(load_checkpoint(path), _assembled(read, sizes, slice(split, None), like=train))
+        held_out = slice(None) if options.new else slice(split, None)
+        found = validate(load_checkpoint(path), _assembled(new, sizes, held_out, like=train))
         worst.append(found.grasp_p90_mm)
         errors = {key: round(value, 3) for key, value in asdict(found).items()}
         bench.row(variant=name, steps=steps, cpu_ms_per_step=round(cpu_ms), **errors)
@@ -77,6 +79,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--family", choices=FAMILIES, default="bc", help="family of policies (default: bc)")
     parser.add_argument("--variant", action="append", help="NAME or NAME:field=value,...; may be repeated")
     parser.add_argument("--steps", type=int, default=1000, help="steps of each training (default: 1000)")
+    parser.add_argument("--new", type=Path, help="dataset of other scenes to measure on; none: of those held out")
     parser.add_argument("--hold-out", type=int, default=36, help="last episodes, not trained on (default: 36)")
 
 

@@ -61,7 +61,7 @@ def facts_of(place: Place) -> dict[str, Fact]:
 
 
 def edited(episode: Episode, edit: Edit) -> Episode:
-    """Return an episode with an edit applied; one whose end is cut off does not count as solved.
+    """Return an episode with an edit applied; whether one is solved whose end is cut off is unknown.
 
     Raises:
         InvalidRequestError: When it has fewer steps than it keeps.
@@ -81,7 +81,7 @@ def edited(episode: Episode, edit: Edit) -> Episode:
 
     cut = last < episode.length - 1
     return replace(
-        episode, read=steps, length=last - first + 1, success=False if cut and episode.success else episode.success,
+        episode, read=steps, length=last - first + 1, success=None if cut else episode.success,
         instruction=words or episode.instruction, instructions=() if words else episode.instructions,
         subtasks=() if words else episode.subtasks,
     )  # fmt: skip

@@ -166,6 +166,8 @@ def write_dataset(
     path = made.path(target, settings)
     _require_outside(path, sources)
     description = stated_rate(common_description(sources, keep_keys=keep_keys), fps, sources)
+    if any(place.changed and place.read().success is None for places in plan.values() for place in places):
+        description = replace(description, outcomes=False)
     _require_names(description, plan)
     left_out = [part for source in sources for part in source.account.left_out]
     changed = tuple(part for source in sources for part in source.account.changed)

@@ -66,11 +66,6 @@ class LearningConfig:
         """Standard deviation of noise on an instruction's embedding in training, see `encoded_config`."""
         return 0.0
 
-    @property
-    def feature_dropout(self) -> float:
-        """Probability that a sample lacks a camera's features, see `encoded_config`."""
-        return 0.0
-
     held_out: int = 0
     """Demonstrations that are not trained on, drawn by the seed. The policy then has the averaged weights of the step
     with the lowest loss on them, of every ``checkpoint_every``-th and the last. 0: the last step's."""

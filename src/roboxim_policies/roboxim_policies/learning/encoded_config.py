@@ -41,9 +41,9 @@ class EncodedConfig(LearningConfig):
     """Standard deviation of noise on the instruction's embedding in training, relative to its numbers, so that a
     wording that is near to a known one is understood as that one."""
 
-    dropped: float = 0.5
-    """Probability that a training sample lacks a camera's features, so that the trained convolutions learn to see
-    without them, 0..1 (exclusive). Without it, a network remembers the features of its few hundred scenes."""
+    feature_dropout: float = 0.5
+    """Probability that a training sample lacks a camera's features, 0..1, so that the trained convolutions learn to see
+    without them. At 0 a network remembers the features of its few hundred scenes; 1: features are never used."""
     wordings: str = ""
     """Set of ``config/wordings`` in whose words each instruction is given in training, too, e.g. ``trained``: one is
     drawn for each sample. Empty: only the instruction itself."""
@@ -60,11 +60,6 @@ class EncodedConfig(LearningConfig):
     def word_noise(self) -> float:
         """Standard deviation of noise on an instruction's embedding in training."""
         return self.sentence_noise
-
-    @property
-    def feature_dropout(self) -> float:
-        """Probability that a sample lacks a camera's features."""
-        return self.dropped
 
     @property
     def sentences(self) -> bool:
@@ -85,8 +80,8 @@ class EncodedConfig(LearningConfig):
             raise ConfigError(f"image_sizes must be multiples of 16, got {self.image_sizes}")
         if self.sentence_noise < 0:
             raise ConfigError(f"sentence_noise must be >= 0, got {self.sentence_noise}")
-        if not 0 <= self.dropped < 1:
-            raise ConfigError(f"dropped must be 0..1 (exclusive), got {self.dropped}")
+        if not 0 <= self.feature_dropout <= 1:
+            raise ConfigError(f"feature_dropout must be 0..1, got {self.feature_dropout}")
         if self.wordings:
             require_set(self.wordings)
         if self.shift_px:

@@ -61,7 +61,8 @@ class Perception(eqx.Module):
         self.encoders = {
             name: PointEncoder(
                 channels=config.channels, depth=config.depth, keypoints=config.keypoints, words=words,
-                features={stride: CHANNELS[stride] for stride in STRIDES}, rng=rng,
+                features={} if config.feature_dropout == 1 else {stride: CHANNELS[stride] for stride in STRIDES},
+                rng=rng,
             )
             for name in sorted(cameras)
         }  # fmt: skip

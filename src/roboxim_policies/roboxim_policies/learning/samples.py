@@ -20,6 +20,7 @@ from roboxim_core.vision.images import resized
 from roboxim_policies.learning.checkpoint import Statistics
 from roboxim_policies.learning.config import LearningConfig
 from roboxim_policies.learning.data import CLOSED_BELOW, Demonstrations, Images
+from roboxim_policies.learning.encoded_config import EncodedConfig
 from roboxim_policies.learning.features import PROPRIO_SIZE, memory_features
 from roboxim_policies.learning.layers import Inputs, Network, Prediction
 
@@ -177,7 +178,7 @@ def augmentation(config: LearningConfig, cameras: tuple[str, ...], step: int, ba
         color = 1 + 0.2 * config.brightness * rng.uniform(-1, 1, (batch, 1, 1, 3))
         draws[f"{camera}/gain"] = (light * color).astype(np.float32)
         draws[f"{camera}/shift"] = rng.integers(0, 2 * config.shift_px + 1, (batch, 2), dtype=np.int32)
-    if config.ENCODER:
+    if isinstance(config, EncodedConfig):
         for camera in cameras:
             draws[f"{camera}/kept"] = rng.uniform(size=(batch, 1, 1, 1)) >= config.feature_dropout
     return {name: jnp.asarray(value) for name, value in draws.items()}

@@ -183,8 +183,8 @@ class RunFolder:
         unchecked = sum(not entry.checked for entry in self.log.read())
         if unchecked:
             found.append(
-                f"{unchecked} lines of {self.log.path} cannot be checked: an earlier version wrote them without a "
-                "checksum, so an edit by hand would not be noticed."
+                f"{self.log.path} cannot be checked whole: lines without a checksum, which an earlier version wrote: "
+                f"{unchecked}. An edit of them would not be noticed."
             )
         config = self.config() if (self.path / RUN_FILE).exists() else {}
         there = {result.index for result in self.results()}
