@@ -123,3 +123,14 @@ def test_a_sample_is_given_in_the_words_of_a_set():
     assert Supply(data(4), config("rt1s"))._sentences.shape == (2, 1, 512)
     with pytest.raises(ConfigError, match="no wordings have a set 'train'"):
         config("rt1s", wordings="train")
+
+
+def test_features_that_are_never_used_have_no_weights(tmp_path):
+    sizes = {}
+    for share in (0.5, 1.0):
+        Trainer(data(4), config("act", steps=2, feature_dropout=share), tmp_path / str(share)).run()
+        sizes[share] = load_checkpoint(tmp_path / str(share)).arrays[-1].size
+        assert first_action(LearnedPolicy(tmp_path / str(share)), episode(np.random.default_rng(0), "red"), "x").shape
+    assert sizes[1.0] == sizes[0.5] - 2 * (40 + 112 + 2) * SMALL["channels"]  # of two cameras, strides 8 and 16
+    with pytest.raises(ConfigError, match=r"feature_dropout must be 0\.\.1"):
+        config("act", feature_dropout=1.5)
