@@ -69,6 +69,13 @@ def replayed(exported, run, sim, number, change=lambda step: step, *, labels=Fal
     return replay_episode(replace(episode, read=read, **fields), bag, sim, labels=labels)
 
 
+def test_a_trimmed_episode_is_no_failed_replay(run, tmp_path):
+    edit = ("trim demo-5-00000-0 0..5",)
+    trimmed = export_dataset("rlds", run, tmp_path / "rlds", EXPORTERS["rlds"]().config(where=edit)).path
+    report = replay_dataset(trimmed, [run])
+    assert "could not be replayed, first demo-5-00000-0: it was trimmed (6 steps" in report.refusal
+
+
 def test_a_good_export_passes(report):
     assert report.refusal == ""
     assert report.required == 1.0

@@ -468,7 +468,8 @@ class BagFinder:
                     raise
                 continue
             if fits:
-                return path, ""
+                trimmed = _trimmed(episode, reader)
+                return (None, trimmed) if trimmed else (path, "")
             others += 1
         if others:
             return None, f"{others} bags have its name, but another final state; name the run that it was exported from"
@@ -487,6 +488,15 @@ class BagFinder:
                 yield from _below(folder, names)
                 for run in sorted(folder.glob("[!.]*")):
                     yield from _below(run, names)
+
+
+def _trimmed(episode: Episode, bag: BagReader) -> str:
+    """Return why an episode cannot be replayed if it lacks steps of its bag; empty: it has all, at its rate."""
+    recorded_hz = bag.info.scene.control_rate_hz
+    whole = bag.result.steps * (episode.fps or recorded_hz) / recorded_hz
+    if abs(episode.length - whole) < 1:
+        return ""
+    return f"it was trimmed ({episode.length} steps, its bag has {whole:.0f} at this rate); export it whole"
 
 
 def _below(folder: Path, names: Sequence[str]) -> Iterator[Path]:
