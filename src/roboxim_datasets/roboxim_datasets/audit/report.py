@@ -84,7 +84,9 @@ def summary_line(result: AuditResult) -> str:
     faulty = {name for check in result.checks for name in check.faulty_episodes}
     counts = result.counts
     parts = [f"{_count(counts['faults'], 'check')} of {len(result.checks)} found faults"]
-    if faulty:
+    if len(faulty) > result.episodes:  # those that bags have and the dataset lacks count, too
+        parts[0] += f", in {len(faulty)} episodes with the missing ones (the dataset has {result.episodes})"
+    elif faulty:
         parts[0] += f", in {len(faulty)} of {_count(result.episodes, 'episode')}"
     else:
         parts[0] += f" in {_count(result.episodes, 'episode')}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import audited
@@ -66,6 +67,8 @@ def test_the_json_has_every_finding_with_its_rate(report: AuditReport, tmp_path:
 
 def test_the_summary_counts(report: AuditReport) -> None:
     assert summary_line(report.result) == "3 checks of 24 found faults, in 2 of 5 episodes; 9 could not be made"
+    few = replace(report.result, episodes=1)
+    assert "in 2 episodes with the missing ones (the dataset has 1)" in summary_line(few)
     assert summary_line(Auditor(["idle"]).result()) == "0 checks of 1 found faults in 0 episodes; 1 could not be made"
 
 
