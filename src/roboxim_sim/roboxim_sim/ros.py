@@ -78,7 +78,8 @@ class StandardServices:
     def _features(self, _: Any, response: Any) -> None:
         response.features.features = list(FEATURES)
         response.features.spawn_formats = ["roboxim"]
-        response.features.custom_info = json.dumps(self._node.renderer_info)
+        info = {**self._node.renderer_info, "episode_id": self._world.episode_id}
+        response.features.custom_info = json.dumps(info)
 
     def _reset(self, request: Any, response: Any) -> None:
         if request.scope not in (request.SCOPE_DEFAULT, request.SCOPE_ALL):

@@ -319,6 +319,7 @@ def test_standard_services(clients: Clients) -> None:
     load(clients, without_cameras())
     features = clients.call(GetSimulatorFeatures, "sim/get_simulator_features", GetSimulatorFeatures.Request()).features
     assert '"renderer": "tiny"' in features.custom_info
+    assert '"episode_id": ""' in features.custom_info
     spawn = SpawnEntity.Request(name="red_cube", allow_renaming=True)
     spawn.entity_resource = Resource(uri="roboxim://cube?color=orange&scale=1.1")
     position = spawn.initial_pose.pose.position

@@ -20,6 +20,7 @@ from roboxim_studio.panels.drive import FOLDER, DrivePanel
 from roboxim_studio.panels.editor import EditorPanel
 from roboxim_studio.panels.episode import EpisodePanel
 from roboxim_studio.panels.files import FilesPanel
+from roboxim_studio.panels.live import LivePanel
 from roboxim_studio.panels.what_if import WhatIfPanel
 from roboxim_studio.serving.access import Access
 from roboxim_studio.serving.site import Site
@@ -27,11 +28,10 @@ from roboxim_studio.sharing import share
 
 if TYPE_CHECKING:
     from roboxim_runs.policies.specs import ChosenPolicy
+    from roboxim_studio.acting.live import LiveGraph
 
-EPISODE, SCENE, DRIVE = "Episode", "Scene", "Drive"
-MODES = (EPISODE, SCENE, DRIVE)
-"""What the view shows: an episode, a scene being edited, or an episode that a person drives."""
-
+EPISODE, SCENE, DRIVE, GRAPH = "Episode", "Scene", "Drive", "Graph"
+"""What the view shows: an episode, a scene being edited, an episode that a person drives, or a running graph."""
 
 NARROW = 0.75
 """Width of a page over its height below which its panel covers the lower part."""
@@ -47,6 +47,7 @@ class Studio:
         open_network: bool = False,
         folder: Path | None = None,
         policies: Sequence[ChosenPolicy] = (),
+        graph: LiveGraph | None = None,
     ) -> None:
         """Start the server, without content.
 
@@ -55,6 +56,7 @@ class Studio:
             open_network: Whether other machines may connect.
             folder: Folder that scenes and teleoperated episodes are written to; none: the working directory.
             policies: Policies that "what if" offers, besides the expert.
+            graph: A running graph to show and edit; the studio leaves it when it closes.
 
         Raises:
             RoboximError: When the port is taken.
@@ -71,7 +73,9 @@ class Studio:
         server.initial_camera.look_at = (0.45, 0.0, 0.1)
         server.on_client_connect(_look_above_the_panel)
         self.view = SceneView(server, self.library)
-        self._modes = server.gui.add_button_group("View", MODES)
+        self._modes = server.gui.add_button_group(
+            "View", (EPISODE, SCENE, DRIVE) if graph is None else (EPISODE, SCENE, DRIVE, GRAPH)
+        )
         self._modes.on_click(lambda event: self.show(str(event.target.value)))
         self.mode = EPISODE
         """What the view shows."""
@@ -88,6 +92,8 @@ class Studio:
             self.site, self.view, self.bench, self.lab, self.editor, self.compose, self.folder / FOLDER, self.watch,
             lambda: (self.episode.film, self.episode.tick),
         )  # fmt: skip
+        self.live = None if graph is None else LivePanel(self.site, self.view, self.library, graph, self.editor)
+        """The panel of the running graph, if there is one."""
         self.view.objects_clicked = self._clicked
         with self.what_if.folder:
             edit = server.gui.add_button("Edit this scene")
@@ -114,6 +120,8 @@ class Studio:
         self.episode.close()
         self.files.close()
         self.drive.close()
+        if self.live is not None:
+            self.live.close()
         self._keys.close()
         self.bench.close(self._last)
         self.site.close()
@@ -138,6 +146,8 @@ class Studio:
                 self.files.open(opened.path, opened.bags)
             elif opened.kind == Kind.DATASET and opened.path is not None:
                 self.dataset.open(opened.path)
+            elif opened.kind == Kind.NOTHING and self.live is not None:
+                self.show(GRAPH)
             else:
                 self.open_task(str(opened.path or ""))
         except RoboximError as error:
@@ -219,12 +229,16 @@ class Studio:
         self.files.folder.visible = mode == EPISODE and bool(self.files.entries)
         watching = mode == EPISODE and self.episode.film is not None
         self.episode.folder.visible = self.what_if.folder.visible = watching
+        if self.live is not None:
+            self.live.folder.visible = mode == GRAPH
         if before == mode:
             return
         if before == DRIVE:
             self.bench.do(self.drive.leave)
         elif before == SCENE:
             self.editor.hide()
+        elif before == GRAPH and self.live is not None:
+            self.live.hide()
         else:
             self.episode.hide()
             self.what_if.hide()
@@ -232,6 +246,8 @@ class Studio:
             self.editor.show()
         elif mode == EPISODE:
             self.episode.show_again()
+        elif mode == GRAPH and self.live is not None:
+            self.live.show()
 
     def _share(self) -> None:
         self.share()
@@ -239,6 +255,8 @@ class Studio:
     def _clicked(self, entity: str) -> None:
         if self.mode == SCENE and self.editor.desk is not None:
             self.editor.select(entity)
+        elif self.mode == GRAPH and self.live is not None:
+            self.live.select(entity)
 
     def _received(self, page: int, message: Mapping[str, Any]) -> None:
         """Obey a page; called in the server's thread."""

@@ -11,11 +11,13 @@ if TYPE_CHECKING:
     from roboxim_runs.policies.specs import ChosenPolicy
     from roboxim_studio.opening import Opened
 
+from roboxim_bringup.attach import run_option
 from roboxim_cli import strict
 
 
 @strict.command(old={"--html": "--out"})
 @click.argument("what", default="", metavar="[RUN | BAG | DATASET | REPORT | TASK]")
+@run_option
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port to listen at; 0: any free one.")
 @click.option(
     "--open-network", is_flag=True,
@@ -32,8 +34,8 @@ from roboxim_cli import strict
     help="Write the episode of a bag as one HTML file that plays offline, and end.",
 )  # fmt: skip
 def command(
-    what: str, port: int, open_network: bool, browser: bool, policies: tuple[str, ...], checkpoints: tuple[str, ...],
-    html: Path | None,
+    what: str, run_id: str | None, port: int, open_network: bool, browser: bool, policies: tuple[str, ...],
+    checkpoints: tuple[str, ...], html: Path | None,
 ) -> None:  # fmt: skip
     r"""Open the studio: one page, served by this machine, without the internet.
 
@@ -41,6 +43,7 @@ def command(
     roboxim studio runs/demos                        # the episodes of a run
     roboxim studio runs/demos/episodes/demo-0-00000-0
     roboxim studio pick_up                           # a task
+    roboxim studio                                   # the graph of the only 'roboxim up', else a task
 
     The printed address holds a secret: whoever has it can use the page. From another machine use an SSH tunnel:
     ssh -L 8080:127.0.0.1:8080 MACHINE roboxim studio --port 8080. Ctrl-C ends the studio.
@@ -49,6 +52,7 @@ def command(
     import threading
     import webbrowser
 
+    from roboxim_studio.acting.live import LiveGraph, choose_graph
     from roboxim_studio.app import Studio
     from roboxim_studio.opening import recognise
 
@@ -57,10 +61,15 @@ def command(
         _share(opened, html)
         return
     chosen = _policies(policies, checkpoints)
+    run, others = choose_graph(run_id) if run_id or not what else (None, ())
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    with Studio(port=port, open_network=open_network, policies=chosen) as studio:
+    graph = None if run is None else LiveGraph(run, others)
+    with Studio(port=port, open_network=open_network, policies=chosen, graph=graph) as studio:
+        if run is not None:
+            named = ", ".join(f"{other.id} ({other.kind})" for other in others)
+            click.echo(f"attached to the run {run.id}{f'; other runs: {named}' if named else ''}", err=True)
         click.echo(f"studio at {studio.url}")
         if open_network:
             click.echo(

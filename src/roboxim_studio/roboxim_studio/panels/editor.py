@@ -205,7 +205,7 @@ class EditorPanel:
 
     async def _dragged(self, event: Any) -> None:
         """Follow the gizmo; the edit is made at the end of the drag. In the server's loop, so that order is kept."""
-        pose = _pose_of(event.target)
+        pose = pose_of(event.target)
         name = self.selected
         if event.phase == "end":
             threading.Thread(target=self.drop, args=(name, pose), daemon=True).start()
@@ -337,7 +337,8 @@ class EditorPanel:
             self._cameras.show(images)
 
 
-def _pose_of(handle: Any) -> Pose:
+def pose_of(handle: Any) -> Pose:
+    """Return the pose of a gizmo."""
     w, x, y, z = (float(value) for value in handle.wxyz)
     px, py, pz = (float(value) for value in handle.position)
     norm = float(np.linalg.norm((w, x, y, z))) or 1.0

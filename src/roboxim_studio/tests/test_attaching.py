@@ -1,0 +1,135 @@
+"""The studio beside a running graph of its own domain: what it shows, what it edits, and what it leaves as it was."""
+
+import os
+
+import pytest
+from roboxim_interfaces.srv import LoadScene, ReleaseEpisode, Tick
+from simulation_interfaces.srv import GetEntities, GetEntityState
+
+from roboxim_bringup.testing import graph  # noqa: F401
+from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_core.poses import Pose
+from roboxim_core.state import StateRecord
+from roboxim_ros.messages.conversions import from_msg, to_msg
+from roboxim_ros.runs import register_run
+from roboxim_studio.acting.live import LiveGraph, choose_graph
+from roboxim_studio.app import Studio
+from roboxim_studio.browser import wait_for
+
+pytestmark = pytest.mark.ros
+ACTION = [0.01, 0.0, -0.005, 0.0, 0.0, 0.1, 1.0]
+
+
+@pytest.fixture
+def graph_parameters():
+    return {"sim": {"renderer": "tiny"}, "tasks": {"visible_renderer": "tiny"}}
+
+
+@pytest.fixture
+def runtime(tmp_path, monkeypatch):
+    """Give the test its own registry of runs; restore the environment afterwards."""
+    before = dict(os.environ)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("ROBOXIM_RUN", raising=False)
+    yield tmp_path
+    for name in set(os.environ) - set(before):
+        del os.environ[name]
+    os.environ.update(before)
+
+
+@pytest.fixture
+def attached(runtime, graph, tmp_path):  # noqa: F811
+    """A studio that shows the running graph, with clients of the graph's own."""
+    with register_run("up", domain=graph.host.context.get_domain_id(), run_id="shown"):
+        run, others = choose_graph()
+        assert (run.id, others) == ("shown", ())
+        os.environ.pop("ROBOXIM_RUN", None)
+        with Studio(folder=tmp_path, graph=LiveGraph(run)) as studio, graph.clients() as clients:
+            studio.show("Graph")
+            yield studio, clients
+
+
+def position_of(clients, entity):
+    answer = clients.call(GetEntityState, "sim/get_entity_state", GetEntityState.Request(entity=entity))
+    point = answer.state.pose.position
+    return point.x, point.y, point.z
+
+
+def episode(clients, scene, name):
+    """Execute an episode of a few ticks, as an evaluator would; return its hashes."""
+    load = LoadScene.Request(scene=scene, episode_id=name)
+    hashes = [clients.call(LoadScene, "sim/load_scene", load).state.state_hash]
+    for seq in range(1, 6):
+        request = Tick.Request(episode_id=name, seq=seq, action=ACTION)
+        hashes.append(clients.call(Tick, "sim/tick", request).state.state_hash)
+    clients.call(ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request(episode_id=name))
+    return hashes
+
+
+@pytest.mark.thorough
+def test_a_running_graph_is_shown_and_edited_through_its_services_and_outlives_the_studio(attached, chromium):
+    studio, clients = attached
+    live = studio.live
+    chromium.open(studio.url)
+    chromium.wait("document.querySelector('#live-facts')?.innerText.includes('shown')")
+    seen = wait_for(lambda: live.seen if live.seen and live.seen.images else None, "the graph's state")
+    assert set(seen.images) == {camera.name for camera in seen.scene.cameras}
+    assert chromium.text("#live-facts").count(seen.state.state_hash)
+
+    live.select("red_cube")
+    wanted = (0.41234, 0.1234, 0.0212)
+    live.move("red_cube", Pose(position=wanted)).result(timeout=60)
+    assert position_of(clients, "red_cube") == pytest.approx(wanted, abs=1e-3)
+    wait_for(lambda: live.seen.state.entity("red_cube").pose.position == pytest.approx(wanted, abs=1e-9), "the edit")
+    wait_for(lambda: live._gizmo.position == pytest.approx(wanted, abs=1e-6), "the gizmo at its object")
+    assert live.add().result(timeout=60) == "cube"
+    wait_for(lambda: "cube" in live._choice.options, "the new object")
+    live.select("cube")
+    live.delete().result(timeout=60)
+    wait_for(lambda: "cube" not in live._choice.options, "the deletion")
+
+    scene = to_msg(seen.scene, LoadScene.Request().scene.__class__)
+    watched = episode(clients, scene, "watched")
+    wait_for(lambda: live.seen.state.state_hash == watched[-1], "the last tick")
+    studio.show("Episode")
+    assert episode(clients, scene, "unwatched") == watched
+    studio.show("Graph")
+
+    held = LoadScene.Request(scene=scene, episode_id="held")
+    clients.call(LoadScene, "sim/load_scene", held)
+    for act in (lambda: live.move("red_cube", Pose(position=wanted)), live.add, live.reset):
+        with pytest.raises(RoboximError, match="'held'"):
+            act().result(timeout=60)
+    request = Tick.Request(episode_id="held", seq=1, action=ACTION)
+    state = from_msg(clients.call(Tick, "sim/tick", request).state, StateRecord)
+    assert (state.state_hash, state.disturbed) == (watched[1], False)
+    clients.call(ReleaseEpisode, "sim/release_episode", ReleaseEpisode.Request(episode_id="held"))
+    studio.close()
+    answer = clients.call(GetEntities, "sim/get_entities", GetEntities.Request())
+    assert "red_cube" in answer.entities
+
+
+@pytest.mark.thorough
+def test_the_graphs_tasks_room_draws_what_the_studio_loads(attached):
+    studio, clients = attached
+    studio.live._index.value = 3
+    studio.live.draw().result(timeout=120)
+    assert "Pick up the" in studio.live._told.content
+    entities = clients.call(GetEntities, "sim/get_entities", GetEntities.Request()).entities
+    assert "target" in entities
+    studio.live._task.value = "/etc/passwd"  # as a forged message of a page would
+    assert studio.live.draw() is None
+
+
+def test_the_only_graph_is_chosen_and_other_runs_are_named(runtime):
+    assert choose_graph() == (None, ())
+    with register_run("generate", domain=7, run_id="job"), register_run("up", domain=8, run_id="one"):
+        run, others = choose_graph()
+        assert run.id == "one"
+        assert [other.id for other in others] == ["job"]
+        with register_run("up", domain=9, run_id="two"):
+            with pytest.raises(ConfigError, match="--run ID(.|\n)*one(.|\n)*two"):
+                choose_graph()
+            assert choose_graph("two")[0].id == "two"
+        with pytest.raises(ConfigError, match="no live run 'three'"):
+            choose_graph("three")
