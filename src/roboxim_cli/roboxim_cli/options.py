@@ -337,7 +337,20 @@ def experiment_options(key: str) -> Decorator:
         ),
         click.option("--only", default="", metavar="KINDS", help="Kinds of stages: generate,export,train,evaluate."),
         option("workers", show_default=False, help="Processes that run episodes; default: 2 or fewer."),
-        option("trainings"), option("renderer"), with_training_resources, *executor_options(),
+        option("trainings"), option("renderer"),
+        click.option(
+            "--fresh", is_flag=True,
+            help="Evaluate in fresh scenes: draw their seed, unless OUT has one ('experiment attest').",
+        ),
+        click.option(
+            "--scene-seed", type=click.IntRange(0), default=0, metavar="N",
+            help="Seed of the scenes, e.g. that of a published run in fresh scenes; default: the public one.",
+        ),
+        click.option(
+            "--trained", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="RUN",
+            help="Run whose trainings are evaluated: with --fresh a finished one, with --shard the whole experiment's.",
+        ),
+        with_training_resources, *executor_options(),
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.errors import ConfigError, one_of
@@ -155,6 +155,24 @@ class CardEvaluation:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CardFresh:
+    """Fresh scenes: those of a seed that was drawn for this run, see `roboxim_eval.experiments.fresh`."""
+
+    seed: int
+    """Seed of the first replicate's scenes."""
+    nonce: str
+    """Random text that was hashed with the seed, so that nobody can guess the seed from the hash."""
+    commitment: str
+    """Hash of nonce and seed, which could be published before the seed was used."""
+    trained_before: int = 0
+    """Trainings of this run that were finished before the seed was drawn."""
+    public_card_sha256: str = ""
+    """Hash of the card of the same policies in the public scenes; empty: they were not evaluated there."""
+    public: tuple[CardEvaluation, ...] = ()
+    """Final evaluations of that card."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class JudgedAgain:
     """A failed held-out episode, judged by the instructions of the training."""
 
@@ -194,6 +212,9 @@ class CardVerdict:
 class Card:
     """Results of an experiment."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("fresh",)
+    """Later fields, see `roboxim_core.config.LEFT_OUT`: cards without them keep their hashes."""
+
     schema: int = SCHEMA
     """Version of this form; it decides the method of the intervals of success rates: 2 Student's t, 3 beta-binomial."""
     experiment: CardExperiment
@@ -208,6 +229,8 @@ class Card:
     """All trainings."""
     evaluations: tuple[CardEvaluation, ...]
     """All evaluations, those of learning curves included."""
+    fresh: CardFresh | None = None
+    """Fresh scenes; null: the final evaluations have the public ones, or those of a seed in the file."""
     pairs: dict[str, tuple[tuple[int, int, int, int], ...]] = field(default_factory=dict)
     """Number of a comparison to, for each replicate, the scenes that both, the first alone, the second alone and
     neither solved."""

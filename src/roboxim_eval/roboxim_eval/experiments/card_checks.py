@@ -12,6 +12,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments.analysis import Analysis, Comparison, Outcomes, analyse
 from roboxim_eval.experiments.card import ARGUMENTS, Card, CardTraining, CardVerdict, parse_card, sealed
 from roboxim_eval.experiments.design import Design, design_of
+from roboxim_eval.experiments.fresh import public_warnings, require_committed
 from roboxim_eval.statistics.paired import Pairs
 from roboxim_eval.statistics.replicates import ConditionDifference, Interval
 from roboxim_eval.statistics.tables import Count
@@ -68,7 +69,8 @@ def concluded(card: Card, design: Design | None = None) -> Card:
         scores=plain_scores(analysis),
         verdicts=tuple(_verdict(c, c.config.primary or len(analysis.comparisons) == 1) for c in analysis.comparisons),
         warnings=(
-            *analysis.warnings, *attestation_warnings(card.trainings), *proof_warnings(card.proofs), *card.statements,
+            *analysis.warnings, *public_warnings(card), *attestation_warnings(card.trainings),
+            *proof_warnings(card.proofs), *card.statements,
         ),
     ))  # fmt: skip
 
@@ -89,6 +91,7 @@ def check_card(data: Any, *, source: str = "card") -> Card:
         again = concluded(card).plain
     except (LookupError, ArithmeticError, TypeError, ValueError) as error:  # a part names things that the others lack
         raise ConfigError(f"{source}: its parts contradict each other ({error!r}); it was changed") from None
+    require_committed(card, source)
     for part in DERIVED:
         if again[part] != data.get(part):
             raise ConfigError(f"{source}: its {part} do not follow from its counts; it was changed")

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
+from roboxim_core.config import LEFT_OUT
 from roboxim_eval.benchmark.card import BenchmarkCard
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.config import ExperimentConfig
@@ -71,7 +72,8 @@ def _class_schema(cls: type[Any], definitions: dict[str, Any]) -> dict[str, Any]
         for field in dataclasses.fields(cls)
     }
     return {
-        "type": "object", "description": _first_line(cls), "properties": properties, "required": list(properties),
+        "type": "object", "description": _first_line(cls), "properties": properties,
+        "required": [name for name in properties if name not in getattr(cls, LEFT_OUT, ())],
         "additionalProperties": False,
     }  # fmt: skip
 

@@ -25,6 +25,8 @@ WHERE = ("all", "seen", "unseen")
 VARIES = ("training", "data")
 FULL = "full"
 """Name of the scale without replaced keys."""
+LEAST_SEED, MOST_SEED = 10_000, 2_000_000_000
+"""Range of seeds of fresh scenes; the public ones are below."""
 Match = Mapping[str, str]
 """Factor to level; a cell matches if it has all of them."""
 
@@ -134,6 +136,9 @@ class ConditionConfig:
 class EvaluateConfig:
     """Rollouts of each policy."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("seed",)
+    """Later fields, see `roboxim_core.config.LEFT_OUT`: cards and stages without them keep their hashes."""
+
     per_cell: int = 20
     """Rollouts of each cell."""
     per_unseen_cell: int = 0
@@ -142,6 +147,8 @@ class EvaluateConfig:
     """Condition to its cells: ``all``, ``seen`` or ``unseen``; conditions that are left out are evaluated in all."""
     max_steps: int = 0
     """Actions after which an episode has failed; 0: the task's limit."""
+    seed: int = 0
+    """Seed of the first replicate's scenes; 0: the public one, which every run of the file has."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -149,6 +156,8 @@ class EvaluateConfig:
         Raises:
             ConfigError: When a value is unknown or out of range.
         """
+        if self.seed and not LEAST_SEED <= self.seed <= MOST_SEED:
+            raise ConfigError(f"seed must be 0 (public) or from {LEAST_SEED} to {MOST_SEED}, got {self.seed}")
         for name, cells in self.cells.items():
             _require_where(f"cells.{name}", cells)
         if self.per_cell < 1 or self.per_unseen_cell < 0 or self.max_steps < 0:

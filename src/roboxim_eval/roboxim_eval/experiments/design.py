@@ -360,8 +360,8 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
             condition = config.conditions[evaluation.condition]
             trained = condition.checkpoint_of or (evaluation.condition if condition.train else "")
             needs = (f"train/{trained}.{replicate}",) if trained in config.conditions else ()
-            seed = (CURVE_SEED if evaluation.checkpoint else EVALUATION_SEED) + replicate
-            seed += config.replicates.first_seed
+            first = CURVE_SEED if evaluation.checkpoint else config.evaluate.seed or EVALUATION_SEED
+            seed = first + config.replicates.first_seed + replicate
             at = f"@{evaluation.checkpoint}" if evaluation.checkpoint else ""
             points["curve" if at else "evaluation"].append(add(
                 "evaluate", f"{evaluation.condition}.{replicate}{at}",

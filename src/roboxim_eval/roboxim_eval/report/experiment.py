@@ -17,6 +17,7 @@ from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_car
 from roboxim_eval.experiments.cells import chosen
 from roboxim_eval.experiments.cost import detectable_drop
 from roboxim_eval.experiments.design import Design
+from roboxim_eval.experiments.fresh import committed_text, public_text
 from roboxim_eval.experiments.proving.proofs import PICTURES
 from roboxim_eval.experiments.spread import spread_rows
 from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
@@ -138,6 +139,10 @@ def _facts(card: Card, design: Design) -> dict[str, str]:
         "trainings": replicates if card.trainings else "none",
         "rollouts": f"{sum(n for e in card.evaluations for _, n, _ in e.by_cell.values()):,}",
     }  # fmt: skip
+    if scenes := committed_text(card):
+        facts["scenes"] = scenes
+    if advantage := public_text(card):
+        facts["public minus fresh scenes"] = advantage
     if design.compared_scenes:
         drop, worst = detectable_drop(design), detectable_drop(design, alone=True)
         trainings = f"{config.replicates.count} training{'s' * (config.replicates.count > 1)}"

@@ -162,7 +162,7 @@ def condition_difference(
     even = len({count.episodes for count in first.by_cell.values()}) == 1  # else some cells would weigh more
     return ConditionDifference(
         differences=tuple(float(d) for d in differences),
-        rollouts=(_pooled(first), _pooled(second)),
+        rollouts=(pooled_rate(first), pooled_rate(second)),
         pairs=sum(pairs[1:], start=pairs[0]) if pairs and (alone or even) else None,
     )
 
@@ -177,7 +177,7 @@ def _equal_rollouts(arm: Arm) -> float:
     return len(counts) ** 2 / sum(1 / count for count in counts)
 
 
-def _pooled(arm: Arm) -> SuccessRate:
+def pooled_rate(arm: Arm) -> SuccessRate:
     """Return the rate of an arm, the mean of its cells', as that of `_equal_rollouts`."""
     episodes = max(1, round(_equal_rollouts(arm)))
     successes = round(arm.rate * episodes)
@@ -193,7 +193,7 @@ def condition_rate(arm: Arm) -> Interval:
     `mean_rate_interval`, which holds where trainings agree by chance near 0 and 1. ``student`` omits the last one. For
     one training, it is the interval of its rollouts alone, which shows nothing about other trainings.
     """
-    pooled, rates = _pooled(arm), arm.rates
+    pooled, rates = pooled_rate(arm), arm.rates
     below, above = pooled.rate - pooled.low, pooled.high - pooled.rate
     if len(rates) > 1:
         half = _t_limit(0.975, len(rates) - 1) * float(np.std(rates, ddof=1)) / math.sqrt(len(rates))
@@ -231,7 +231,7 @@ def condition_ratio(first: Arm, second: Arm) -> Interval:
         return Interval(value=0.0, low=0.0, high=condition_rate(first).high / least if least else math.inf)
     deviation = u / u.mean() - s / s.mean()
     among = _t_limit(0.975, replicates - 1) * float(np.std(deviation, ddof=1)) / math.sqrt(replicates)
-    one, two = _pooled(first), _pooled(second)
+    one, two = pooled_rate(first), pooled_rate(second)
     below = math.hypot(math.log(one.rate / one.low), math.log(two.high / two.rate))
     above = math.hypot(math.log(one.high / one.rate), math.log(two.rate / two.low))
     return Interval(value=ratio, low=ratio * math.exp(-max(among, below)), high=ratio * math.exp(max(among, above)))

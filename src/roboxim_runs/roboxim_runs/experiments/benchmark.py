@@ -32,6 +32,7 @@ from roboxim_runs.experiments.report import (
 )
 from roboxim_runs.experiments.report import STATE_FILE as EXPERIMENT_STATE_FILE
 from roboxim_runs.experiments.run import KINDS, ExperimentRunConfig, run_experiment
+from roboxim_runs.experiments.scenes.fresh import drawn_seed, in_scenes_of, share_seed, stored_seed
 from roboxim_runs.policies.specs import PolicySpec
 from roboxim_runs.storage.folder import checked_path, make_folder
 
@@ -64,6 +65,23 @@ class BenchmarkRunConfig:
     """Trainings of an experiment at a time. Results do not depend on it."""
     renderer: str = "raster"
     """Renderer of the images."""
+    fresh: bool = False
+    """Whether to evaluate in fresh scenes, all experiments in those of one seed; see `ExperimentRunConfig`."""
+    scene_seed: int = 0
+    """Seed of the scenes; 0: the folder's, or the public one."""
+    trained: Path | str = ""
+    """With ``fresh``: folder of a finished run of the benchmark, whose trainings are evaluated again; empty: none."""
+
+    def __post_init__(self) -> None:
+        """Check the options of fresh scenes.
+
+        Raises:
+            ConfigError: When they exclude each other.
+        """
+        if self.trained and not self.fresh:
+            raise ConfigError("--trained is for --fresh: without it the benchmark's folder has the trainings")
+        if self.fresh and self.scene_seed:
+            raise ConfigError("--fresh draws a seed; leave out --scene-seed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +123,7 @@ def run_benchmark(
     make_folder(out)
     _require_experiments(benchmark, config)
     changes = experiment_changes(benchmark, config.scale)
+    seed = drawn_seed(out) if config.fresh else stored_seed(out)
     cards = _cards_from_elsewhere(benchmark, config)
     state = {"benchmark": config.benchmark, "scale": config.scale, "trainer": config.trainer}
     _require_same(out / STATE_FILE, state)
@@ -119,11 +138,16 @@ def run_benchmark(
         if config.experiments and name not in config.experiments:
             missing.append(name)
             continue
+        if seed is not None:
+            make_folder(out / name)
+            share_seed(seed, out / name)
         result = run_experiment(
             ExperimentRunConfig(
                 experiment=name, scale=config.scale, changes=changes, benchmark=config.benchmark,
                 out=out / name, trainer=config.trainer, policies=_policies_of(name, config.policies), only=config.only,
                 workers=config.workers, trainings=config.trainings, renderer=config.renderer,
+                fresh=config.fresh, scene_seed=config.scene_seed,
+                trained=checked_path(config.trained) / name if config.trained else "",
             ),
             executor=executor, training_executor=training_executor, on_event=on_event, cancellation=cancellation,
         )  # fmt: skip
@@ -148,7 +172,11 @@ def _cards_from_elsewhere(benchmark: BenchmarkConfig, config: BenchmarkRunConfig
     out = checked_path(config.out)
     stored = [out / name / CARD_FILE for name in benchmark.experiments if _only_card(out / name)]
     paths = (*stored, *config.cards)
-    planned = benchmark_experiments(benchmark, config.scale, config.trainer) if paths else {}
+    seed = stored_seed(out)
+    planned = {
+        name: in_scenes_of(one, seed.seed if seed else config.scene_seed)
+        for name, one in (benchmark_experiments(benchmark, config.scale, config.trainer) if paths else {}).items()
+    }
     found: dict[str, Card] = {}
     for path in paths:
         card = stored_card(path)
@@ -267,6 +295,8 @@ def benchmark_reproduction(out: Path, experiments: Iterable[str]) -> str:
     here = {name: ExperimentFolder.of(out / name) for name in experiments if not _only_card(out / name)}
     renderer = next((folder.renderer for folder in here.values()), "")
     words += ["--renderer", renderer] if renderer else []
+    seed = next((folder.design.config.evaluate.seed for folder in here.values()), 0)
+    words += ["--scene-seed", str(seed)] if seed else []
     for name in experiments:
         words += policy_words(here[name], f"{name}.") if name in here else ["--card", f"{out.name}/{name}/{CARD_FILE}"]
     return shlex.join(words)

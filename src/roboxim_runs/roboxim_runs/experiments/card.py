@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
-from roboxim_core.plain_data.documents import read_json
+from roboxim_core.plain_data.documents import read_json, read_json_object
 from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_core.seeds import CELL, CELL_NUMBER
+from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Design, Stage, chosen, stages_of
 from roboxim_eval.experiments.card import (
     Card,
@@ -36,6 +38,7 @@ from roboxim_runs.executors.protocol import as_json
 from roboxim_runs.experiments.delivery.demands import task_mix_of
 from roboxim_runs.experiments.files import trainer_name
 from roboxim_runs.experiments.provenance import Attestations, Origin, device, origin_statements
+from roboxim_runs.experiments.scenes.fresh import card_part
 from roboxim_runs.storage.folder import RunFolder
 from roboxim_tasks.config import TaskMix
 
@@ -45,6 +48,8 @@ PROOFS_FILE = "proofs.json"
 JUDGED_FILE = "judged_again.json"
 EXCLUDED_FILE = "excluded.json"
 STATEMENTS_FILE = "statements.json"
+PROOF_FILE = "proof.json"
+"""File of a proof's folder with its checks, faults and statements."""
 DRAWING = ("generate", "evaluate")
 """Kinds of stages that draw images."""
 TIMES = ("wall_s", "inference_s")
@@ -151,7 +156,41 @@ def collect_card(
             stage.name: float(products[stage.name].get("wall_s", 0.0)) for stage in finished
         },
     )  # fmt: skip
-    return concluded(card, design)
+    return concluded(replace(card, fresh=card_part(out, products, card)), design)
+
+
+def collect_proofs(stages: Sequence[Stage], out: Path, changed: Sequence[str]) -> None:
+    """Write what the proofs of all stages found, for the card.
+
+    Args:
+        stages: All stages; those that prove are finished.
+        out: The experiment's folder.
+        changed: Statements besides those of the proofs.
+    """
+    checks: dict[str, list[int]] = {}
+    excluded: dict[str, list[int]] = {}
+    again: list[Any] | None = None
+    statements = list(changed)
+    for stage in stages:
+        if stage.kind != "prove":
+            continue
+        proof = read_json_object(out / stage.name / PROOF_FILE)
+        statements += [text for text in proof["statements"] if text not in statements]
+        prefix = "training " if stage.part == "export" else "curve " if stage.of_curve else ""
+        for name, (passed, number) in proof["checks"].items():
+            before = checks.get(prefix + name, [0, 0])
+            checks[prefix + name] = [before[0] + passed, before[1] + number]
+        replicate = stage.name.rpartition(".")[2]
+        for name, indices in proof["excluded"].items():
+            condition, at, checkpoint = name.partition("@")
+            excluded[f"evaluate/{condition}.{replicate}{at}{checkpoint}"] = indices
+        if proof["judged_again"] is not None:
+            again = [*(again or []), *proof["judged_again"]]
+    write_whole(out / PROOFS_FILE, json.dumps(checks, indent=2) + "\n")
+    write_whole(out / STATEMENTS_FILE, json.dumps(statements, indent=2) + "\n")
+    write_whole(out / EXCLUDED_FILE, json.dumps(excluded) + "\n")
+    if again is not None:
+        write_whole(out / JUDGED_FILE, json.dumps(again) + "\n")
 
 
 def _renderer(origin: Origin | None, otherwise: str) -> str:

@@ -337,6 +337,8 @@ def reproduction(folder: ExperimentFolder) -> str:
     words = ["roboxim", *run, "--scale", folder.scale, "--out", out.name]
     words += ["--trainer", folder.trainer] if folder.trainer else []
     words += ["--renderer", folder.renderer] if folder.renderer else []
+    seed = folder.design.config.evaluate.seed
+    words += ["--scene-seed", str(seed)] if seed else []
     return shlex.join([*words, *policy_words(folder, prefix)])
 
 

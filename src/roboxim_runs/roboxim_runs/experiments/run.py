@@ -23,12 +23,12 @@ from typing import Any
 from roboxim_core.config import digest, to_plain
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.differences import differences
-from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_core.shards import Shard
 from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Design, Stage, stages_of
 from roboxim_eval.experiments.card import Card
+from roboxim_eval.experiments.fresh import SceneSeed
 from roboxim_runs.events import Notice, OnEvent, ignore
 from roboxim_runs.executors import Cancellation, Executor, KeptProcesses
 from roboxim_runs.executors.protocol import as_json
@@ -36,11 +36,9 @@ from roboxim_runs.experiments.calibration.learned import rates_of_run
 from roboxim_runs.experiments.calibration.rates import store_rates, stored_rates
 from roboxim_runs.experiments.card import (
     DRAWING,
-    EXCLUDED_FILE,
-    JUDGED_FILE,
-    PROOFS_FILE,
-    STATEMENTS_FILE,
+    STAGES_FILE,
     collect_card,
+    collect_proofs,
 )
 from roboxim_runs.experiments.checks import (
     changed_after_results,
@@ -67,7 +65,9 @@ from roboxim_runs.experiments.report import (
     write_experiment_report,
 )
 from roboxim_runs.experiments.scene_leakage import scene_leakage
-from roboxim_runs.experiments.stages import PROOF_FILE, Stages
+from roboxim_runs.experiments.scenes.again import scenes_of
+from roboxim_runs.experiments.scenes.fresh import COMMITTED, in_scenes_of
+from roboxim_runs.experiments.stages import Stages
 from roboxim_runs.experiments.trained.policies import (
     is_named,
     named_policies,
@@ -88,7 +88,6 @@ KINDS = ("generate", "export", "train", "evaluate")
 """Parts of an experiment that may run alone; the proofs of training data are part of the export, those of rollouts of
 the evaluation."""
 
-STAGES_FILE = "stages.jsonl"
 CHANGED = "changed_after_results"
 """Key of ``experiment.json``: sentences for the card."""
 RENDERER = "raster"
@@ -126,7 +125,12 @@ class ExperimentRunConfig:
     shard: str = ""
     """``I/N``: run only the I-th of N parts of the episodes of each generation and evaluation; empty: everything."""
     trained: Path | str = ""
-    """Folder of the whole experiment, whose trainings a shard evaluates; empty: ``out``."""
+    """Folder of the whole experiment, whose trainings a shard evaluates; with ``fresh``, of a finished run in the
+    public scenes, whose trainings are evaluated again; empty: ``out``."""
+    fresh: bool = False
+    """Whether to evaluate in fresh scenes: the folder's seed of fresh scenes, drawn now unless it has one."""
+    scene_seed: int = 0
+    """Seed of the scenes, e.g. that of a published run in fresh scenes; 0: the folder's, or the public one."""
 
     def __post_init__(self) -> None:
         """Check the names.
@@ -146,8 +150,15 @@ class ExperimentRunConfig:
                 "merge them, run --only generate,export,train on the whole, then --only evaluate in shards with "
                 "--trained WHOLE"
             )
-        if self.trained and not self.shard:
-            raise ConfigError("--trained is for --shard: without it the experiment's folder has the trainings")
+        if self.trained and not self.shard and not self.fresh:
+            raise ConfigError(
+                "--trained is for --shard and --fresh: without them the experiment's folder has the trainings"
+            )
+        if self.fresh and (self.shard or self.scene_seed):
+            raise ConfigError(
+                "--fresh draws a seed for the whole experiment: leave out --scene-seed; shards take the seed of the "
+                "folder that --trained names, which 'roboxim experiment attest WHOLE' draws"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,13 +201,18 @@ def run_experiment(
         RoboximError: When a stage fails, or a proof does.
     """
     experiment = load_experiment(config.experiment, config.scale, changes=config.changes, trainer=config.trainer)
+    scenes = scenes_of(
+        checked_path(config.out), trained=checked_path(config.trained) if config.trained else None, fresh=config.fresh,
+        scene_seed=config.scene_seed,
+    )  # fmt: skip
+    experiment = in_scenes_of(experiment, scenes.seed if scenes else config.scene_seed)
     design = checked_design(config.experiment, experiment, config.trainer)
     if experiment.curve is not None and not design.trainer.until:
         on_event(Notice(text="the trainer does not end at checkpoints (until), so there is no learning curve"))
     for sentence in scene_leakage(design):
         on_event(Notice(text=sentence))
     with KeptProcesses() as kept:
-        run = _Run(config, design, on_event, cancellation, executor, kept)
+        run = _Run(config, design, on_event, cancellation, executor, kept, scenes)
         run.open()
         stages = [stage for stage in run.stages if run.wanted(stage) and run.ready(stage)]
         for kind, ones in itertools.groupby(stages, key=lambda stage: stage.kind):  # all trainings follow each other
@@ -210,7 +226,7 @@ def run_experiment(
     card = None
     if not config.shard and not any(name.startswith(("evaluate/", "prove/")) for name in missing):
         name = Path(config.experiment).stem
-        run.collect_proofs()
+        collect_proofs(run.stages, run.out, state_of(run.out).get(CHANGED, []))
         folder = ExperimentFolder.of(run.out)
         card = collect_card(
             name, config.scale, design, run.out, trainer=config.trainer, renderer=folder.renderer
@@ -236,11 +252,13 @@ class _Run:
         cancellation: Cancellation | None,
         executor: Executor | None,
         kept: KeptProcesses,
+        scenes: SceneSeed | None,
     ) -> None:
         self.config, self.design = config, design
+        self._committed = {COMMITTED: scenes.commitment} if scenes else {}
         self.out = checked_path(config.out)
         self.log = ResultsLog(self.out / STAGES_FILE)
-        self.trained = checked_path(config.trained) if config.trained else self.out
+        self.trained = checked_path(config.trained) if config.trained and config.shard else self.out
         trained = bool(design.trainer.command)
         self.stages = tuple(stage for stage in stages_of(design) if stage.kind != "train" or trained)
         self._ran = False
@@ -327,33 +345,6 @@ class _Run:
         policy_data = as_json(to_plain(policy)) if policy else None
         return digest({"sha": stage.sha, "name": stage.name, "policy": policy_data, **part})
 
-    def collect_proofs(self) -> None:
-        """Write what the proofs of all stages found, for the card."""
-        checks: dict[str, list[int]] = {}
-        excluded: dict[str, list[int]] = {}
-        again: list[Any] | None = None
-        statements: list[str] = list(state_of(self.out).get(CHANGED, []))
-        for stage in self.stages:
-            if stage.kind != "prove":
-                continue
-            proof = read_json_object(self.out / stage.name / PROOF_FILE)
-            statements += [text for text in proof["statements"] if text not in statements]
-            prefix = "training " if stage.part == "export" else "curve " if stage.of_curve else ""
-            for name, (passed, number) in proof["checks"].items():
-                before = checks.get(prefix + name, [0, 0])
-                checks[prefix + name] = [before[0] + passed, before[1] + number]
-            replicate = stage.name.rpartition(".")[2]
-            for name, indices in proof["excluded"].items():
-                condition, at, checkpoint = name.partition("@")
-                excluded[f"evaluate/{condition}.{replicate}{at}{checkpoint}"] = indices
-            if proof["judged_again"] is not None:
-                again = [*(again or []), *proof["judged_again"]]
-        write_whole(self.out / PROOFS_FILE, json.dumps(checks, indent=2) + "\n")
-        write_whole(self.out / STATEMENTS_FILE, json.dumps(statements, indent=2) + "\n")
-        write_whole(self.out / EXCLUDED_FILE, json.dumps(excluded) + "\n")
-        if again is not None:
-            write_whole(self.out / JUDGED_FILE, json.dumps(again) + "\n")
-
     def learn_rates(self, name: str) -> None:
         """Store the rates that a whole run on this machine showed, for later plans."""
         before = stored_rates(self.design.config.image_size, name)
@@ -390,9 +381,13 @@ class _Run:
         for stage in missing:
             self._require_needs(stage, done)
 
+        committed = self._committed
+
         def finished(one: Trained) -> None:
             origin = {ORIGIN: dict(one.origin)} if one.origin else {}
-            self._log(one.stage, one.wall_s, continued=one.continued, at_once=round(one.at_once, 2), **origin)
+            self._log(
+                one.stage, one.wall_s, continued=one.continued, at_once=round(one.at_once, 2), **origin, **committed
+            )
 
         run = partial(train, at_once=self.config.trainings) if executor is None else partial(train_on, executor)
         run(

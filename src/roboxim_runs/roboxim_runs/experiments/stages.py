@@ -31,7 +31,7 @@ from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
 from roboxim_runs.events import Notice, OnEvent
 from roboxim_runs.executors import Cancellation, Executor, KeptProcesses, LocalExecutor
 from roboxim_runs.executors.protocol import as_json
-from roboxim_runs.experiments.card import evaluation_folder
+from roboxim_runs.experiments.card import PROOF_FILE, evaluation_folder
 from roboxim_runs.experiments.delivery.demands import task_mix_of
 from roboxim_runs.experiments.delivery.proving import (
     ArmClaim,
@@ -46,9 +46,6 @@ from roboxim_runs.experiments.trained.exports import export_config
 from roboxim_runs.experiments.trained.servers import Server, serving
 from roboxim_runs.policies.specs import PolicySpec
 from roboxim_runs.storage.folder import RunFolder
-
-PROOF_FILE = "proof.json"
-"""File of a proof's folder with its checks, faults and statements."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -50,14 +50,16 @@ def _run_command(name: str) -> click.Command:
         "--card", "cards", multiple=True, metavar="FILE", type=click.Path(path_type=Path, exists=True, dir_okay=False),
         help="Card of an experiment that ran on another machine; may be repeated.",
     )  # fmt: skip
-    def run(out: Path, **options: Any) -> None:
+    def run(out: Path, trained: Path | None, **options: Any) -> None:
         """Run the experiments of this benchmark in subfolders of OUT; the same command continues."""
         from contextlib import nullcontext
 
         from roboxim_cli.printer import EventPrinter
         from roboxim_runs.experiments.benchmark import BenchmarkRunConfig, run_benchmark
 
-        config, runs_on, trains_on = experiment_run(BenchmarkRunConfig, {**options, "benchmark": name, "out": out})
+        config, runs_on, trains_on = experiment_run(BenchmarkRunConfig, {
+            **options, "benchmark": name, "out": out, "trained": trained or "",
+        })  # fmt: skip
         with EventPrinter() as printer, runs_on or nullcontext():
             result = run_benchmark(config, executor=runs_on, training_executor=trains_on, on_event=printer)
         if result.card is None:

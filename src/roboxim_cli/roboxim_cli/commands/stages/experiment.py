@@ -154,10 +154,6 @@ def plan(
     "--shard", default="", metavar="I/N",
     help="Run only the I-th of N parts of the episodes; with --only generate or --only evaluate.",
 )  # fmt: skip
-@click.option(
-    "--trained", type=click.Path(path_type=Path, exists=True), metavar="WHOLE",
-    help="Folder of the whole experiment, whose trainings a shard evaluates.",
-)  # fmt: skip
 def run(name: str, out: Path, shard: str, trained: Path | None, **options: Any) -> None:
     r"""Run the stages of an experiment that OUT lacks: demonstrations, exports, trainings, evaluations.
 
@@ -170,6 +166,11 @@ def run(name: str, out: Path, shard: str, trained: Path | None, **options: Any) 
 
     Ctrl-C stops, and trainings save their checkpoints; the same command continues. A stage whose inputs have changed is
     refused by name. When all evaluations are there, OUT/card.json has the counts, scores and sentences.
+
+    \b
+    In scenes on which nobody could tune a policy:
+    roboxim experiment run skill_object --scale laptop --fresh --out runs/mine
+    roboxim experiment run skill_object --scale laptop --fresh --trained runs/so --out runs/so-fresh    # once more
 
     \b
     On several machines, here two, each with a folder of its own:
@@ -206,6 +207,24 @@ def run(name: str, out: Path, shard: str, trained: Path | None, **options: Any) 
     click.echo(f"report: {out / 'report.html'}")
 
 
+@command.command("attest")
+@option("out", required=True, help="Folder of the experiment's or benchmark's run; need not exist.")
+def attest(out: Path) -> None:
+    r"""Draw the seed of fresh scenes before any training, and print a hash that commits to it.
+
+    \b
+    roboxim experiment attest --out runs/mine       # publish the line that it prints
+    roboxim experiment run skill_object --out runs/mine
+
+    The hash does not give the seed away. The card of the run names the seed, so that everybody can check the hash.
+    """
+    from roboxim_runs.experiments.scenes.again import attested_seed
+
+    seed = attested_seed(out)
+    click.echo(f"scenes committed to: {seed.commitment}")
+    click.echo("publish this line before you train; the card of the run will name nonce and seed")
+
+
 @command.command("report", old={"--html": "--out"})
 @click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False)
 @click.option(
@@ -232,6 +251,7 @@ def report(
     results have changed. The page is one file that opens offline.
     """
     from roboxim_core.errors import ConfigError
+    from roboxim_eval.experiments.fresh import committed_text, public_text
     from roboxim_runs.experiments.report import (
         ExperimentFolder,
         card_page,
@@ -276,6 +296,10 @@ def report(
     for name, value in scores.items():
         text = f"refused: {refused}" if name == "relative" and refused else _score_text(value)
         click.echo(f"  {name:<17} {text}")
+    if scenes := committed_text(found):
+        click.echo(f"  scenes            {scenes}")
+    if advantage := public_text(found):
+        click.echo(f"  public - fresh    {advantage}")
     for line in spread_lines(found):
         click.echo(f"  {line}")
     for sentence in found.experiment.deviations:

@@ -1,0 +1,1 @@
+"""Scenes of an experiment's evaluations."""

@@ -1,0 +1,118 @@
+"""A seed that is committed to before the trainings, and trainings of an earlier run that meet fresh scenes."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.documents import read_json
+from roboxim_core.plain_data.results_log import ResultsLog
+from roboxim_core.whole_files import write_whole
+from roboxim_eval.experiments import stages_of
+from roboxim_eval.experiments.fresh import SceneSeed
+from roboxim_runs.experiments.card import CARD_FILE, STAGES_FILE
+from roboxim_runs.experiments.provenance import ATTEST_FILE
+from roboxim_runs.experiments.report import ExperimentFolder, folder_card
+from roboxim_runs.experiments.scenes.fresh import COMMITTED, PUBLIC_FILE, drawn_seed, share_seed, stored_seed
+from roboxim_runs.storage.folder import make_folder
+
+
+def attested_seed(out: Path) -> SceneSeed:
+    """Return the seed of a run's fresh scenes, to commit to it before the trainings.
+
+    Raises:
+        ConfigError: When a training of the folder ended without it.
+    """
+    if early := list(_uncommitted(out, stored_seed(out))):
+        raise ConfigError(
+            f"{out}: {len(early)} trainings ended before a seed was committed to ({early[0]}), so that a commitment "
+            "shows nothing about them; attest a new folder, or run with --fresh, which says so in the card"
+        )
+    return drawn_seed(out)
+
+
+def _uncommitted(out: Path, seed: SceneSeed | None) -> Iterator[str]:
+    """Yield the finished trainings of a folder, or of a benchmark's subfolders, whose lines lack a commitment."""
+    for log in (out / STAGES_FILE, *sorted(out.glob(f"*/{STAGES_FILE}"))):
+        for entry in ResultsLog(log).read():
+            name = entry.data.get("stage", "")
+            if name.startswith("train/") and (seed is None or entry.data.get(COMMITTED) != seed.commitment):
+                yield name
+
+
+def scenes_of(out: Path, *, trained: Path | None, fresh: bool, scene_seed: int) -> SceneSeed | None:
+    """Return the seed of a run's fresh scenes; none: its scenes are the public ones, or of a seed that was given.
+
+    Args:
+        out: The run's folder.
+        trained: With ``fresh``, the run in the public scenes whose trainings are evaluated again; of a shard, the
+            folder of the whole experiment, which has the seed. None: the folder itself has the trainings.
+        fresh: Whether to draw a seed unless the folder has one.
+        scene_seed: Seed that was given; 0: none.
+
+    Raises:
+        ConfigError: When the folder has another seed, or the trainings are not to be had.
+    """
+    if fresh:
+        if trained is not None:
+            take_trainings(trained, out)
+        return drawn_seed(out)
+    if trained is not None and (seed := stored_seed(trained)) is not None:
+        make_folder(out)
+        share_seed(seed, out)
+    seed = stored_seed(out)
+    if seed is not None and scene_seed not in (0, seed.seed):
+        raise ConfigError(f"{out} has fresh scenes of another seed than --scene-seed; choose another folder (--out)")
+    return seed
+
+
+def take_trainings(source: Path, out: Path) -> None:
+    """Put the demonstrations, datasets and trainings of a finished run into a new folder, for fresh scenes.
+
+    Files are linked where the file system allows it. A folder that has them already is left as it is.
+
+    Args:
+        source: Folder of a run in the public scenes.
+        out: The new run's folder.
+
+    Raises:
+        ConfigError: When the source has no results, fresh scenes of its own, or the folder has another run.
+    """
+    folder = ExperimentFolder.of(source)
+    if not (source / CARD_FILE).exists():
+        raise ConfigError(f"{source} has no {CARD_FILE}: finish its run first, 'roboxim experiment run' continues it")
+    card = folder_card(folder)
+    if card.fresh is not None or card.experiment.config.evaluate.seed:
+        raise ConfigError(f"{source} has fresh scenes itself; name the run in the public scenes")
+    if (out / PUBLIC_FILE).exists():
+        if read_json(out / PUBLIC_FILE).get("sha256") != card.sha256:
+            raise ConfigError(f"{out} has the trainings of another run; choose another output folder (--out)")
+        return
+    if (out / STAGES_FILE).exists():
+        raise ConfigError(f"{out} has a run of its own; choose another output folder (--out)")
+    lines = {entry.data.get("stage", ""): entry for entry in ResultsLog(source / STAGES_FILE).read()}
+    kept = [s.name for s in stages_of(folder.design) if s.part != "evaluate" and s.name in lines]
+    for name in kept:
+        parts = (source / name, *sorted((source / name).parent.glob(f"{Path(name).name}@*")))
+        for one in parts:
+            if one.is_dir():
+                shutil.copytree(one, out / one.relative_to(source), copy_function=_linked, dirs_exist_ok=True)
+    for entry in lines.values():  # in the order in which they ended
+        if entry.data.get("stage") in kept:
+            ResultsLog(out / STAGES_FILE).append(entry.key, entry.data)
+    if (source / ATTEST_FILE).exists():
+        shutil.copy2(source / ATTEST_FILE, out / ATTEST_FILE)
+    write_whole(out / PUBLIC_FILE, (source / CARD_FILE).read_text())
+
+
+def _linked(source: str, target: str) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # another file system, or the target is there from an interrupted call
+        shutil.copy2(source, target)
+
+
+__all__ = ["attested_seed", "scenes_of", "take_trainings"]
