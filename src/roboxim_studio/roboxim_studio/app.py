@@ -87,7 +87,7 @@ class Studio:
         self.episode = EpisodePanel(self.site, self.view)
         self.what_if = WhatIfPanel(self.site, self.episode, self.bench, self.lab, self.library)
         self.editor = EditorPanel(self.site, self.view, self.bench, self.lab, self.library, self.folder)
-        self.compose = ComposePanel(self.site, self.view, self.bench, self.lab, self.editor, self.watch)
+        self.compose = ComposePanel(self.site, self.view, self.bench, self.lab, self.editor, self.watch, self.folder)
         self.drive = DrivePanel(
             self.site, self.view, self.bench, self.lab, self.editor, self.compose, self.folder / FOLDER, self.watch,
             lambda: (self.episode.film, self.episode.tick),

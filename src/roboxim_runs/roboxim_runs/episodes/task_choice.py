@@ -20,6 +20,7 @@ from roboxim_core.plain_data.merging import merged
 from roboxim_core.seeds import CELL
 
 if TYPE_CHECKING:
+    from roboxim_core.models.library import ModelLibrary
     from roboxim_tasks.config import TaskMix
 
 DEFAULT_TASK = "pick_cube"
@@ -266,10 +267,8 @@ def _read(file: Path) -> tuple[str, str]:
 
 
 def _set_models(data: dict[str, Any], item: str) -> None:
-    """Set the models of a role. Drop modifiers and modifier values that none of the models supports."""
+    """Set the models of a role as ``[ROLE=]MODEL[,MODEL]`` says."""
     from roboxim_core.models.library import ModelLibrary
-    from roboxim_core.models.modifiers import PHYSICAL
-    from roboxim_tasks.choices import Choice
 
     library = ModelLibrary()
     role, _, models = item.rpartition("=")
@@ -278,9 +277,27 @@ def _set_models(data: dict[str, Any], item: str) -> None:
         if name not in library.object_ids:
             raise ConfigError(f"--object {item}: unknown object '{name}'; {one_of(library.object_ids, name)}")
     config = data.setdefault("objects", {}).setdefault(role or "target", {}) or {}
-    config["models"] = {"values": names}
+    set_models(config, names, library)
+    data["objects"][role or "target"] = config
+
+
+def set_models(section: dict[str, Any], names: Sequence[str], library: ModelLibrary) -> None:
+    """Set the models of a role's section, or of the distractors'. Drop modifiers and values that none of them supports.
+
+    Args:
+        section: Plain data of the section, which is changed.
+        names: Ids of the models.
+        library: Library of the models.
+
+    Raises:
+        ConfigError: When a model is unknown.
+    """
+    from roboxim_core.models.modifiers import PHYSICAL
+    from roboxim_tasks.choices import Choice
+
+    section["models"] = {"values": list(names)}
     modifiers = {}
-    for kind, given in config.get("modifiers", {}).items():
+    for kind, given in (section.get("modifiers") or {}).items():
         choice = given if isinstance(given, dict) else Choice.from_short(given)
         takers = [taken[kind] for taken in map(library.object_modifiers, names) if kind in taken]
         kept = choice
@@ -288,8 +305,7 @@ def _set_models(data: dict[str, Any], item: str) -> None:
             kept = _only(choice, {word for taker in takers for word in taker.words(kind)})
         if kind in PHYSICAL or (takers and kept):
             modifiers[kind] = kept
-    config["modifiers"] = modifiers
-    data["objects"][role or "target"] = config
+    section["modifiers"] = modifiers
 
 
 def _only(choice: dict[str, Any], allowed: Collection[Any]) -> dict[str, Any]:

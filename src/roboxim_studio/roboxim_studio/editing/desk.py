@@ -177,12 +177,9 @@ class Desk:
             ConfigError: When the name is no plain file name, or the document is no valid task.
             OSError: When it cannot be written.
         """
-        stem = name.removesuffix(".yaml")
-        if not is_file_name(stem) or "/" in stem:
-            raise ConfigError(f"'{name}' is no file name; expected letters, digits, '-' and '_', e.g. my_scene")
+        file = file_to_save(folder, name)
         document = self.history.now
         checked(document, self._library)
-        file = folder / f"{stem}.yaml"
         write_whole(file, f"# Made with roboxim studio; scene {scene_hash(document)}.\n{as_yaml(document)}")
         return file
 
@@ -227,3 +224,15 @@ class Desk:
         if document == self.history.now:
             for told in self.on_pictures:
                 told(seen)
+
+
+def file_to_save(folder: Path, name: str) -> Path:
+    """Return the YAML file of a name in a folder that was opened.
+
+    Raises:
+        ConfigError: When the name is no plain file name.
+    """
+    stem = name.removesuffix(".yaml")
+    if not is_file_name(stem) or "/" in stem:
+        raise ConfigError(f"'{name}' is no file name; expected letters, digits, '-' and '_', e.g. my_scene")
+    return folder / f"{stem}.yaml"

@@ -1,27 +1,34 @@
-"""The panel that draws tasks, lets the expert solve them, and counts what refuses their draws."""
+"""The panel that composes tasks, draws them, lets the expert solve them, and counts what refuses their draws."""
 
 from __future__ import annotations
 
 import threading
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+from roboxim_core.config import digest
 from roboxim_core.config_folders import config_names
 from roboxim_core.episode import Draw
 from roboxim_core.errors import ConfigError, RoboximError, one_of
 from roboxim_core.seeds import PURPOSES, SeedPath
+from roboxim_core.whole_files import write_whole
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.acting.take import take
 from roboxim_studio.acting.what_if import EXPERT
 from roboxim_studio.bench import Bench
+from roboxim_studio.editing.desk import file_to_save
 from roboxim_studio.editing.document import as_yaml, from_draw
 from roboxim_studio.episode.film import Film, ending
 from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.panels import markup
 from roboxim_studio.panels.editor import EditorPanel
+from roboxim_studio.panels.editor_forms import by_person
+from roboxim_studio.panels.task_form import TaskForm
 from roboxim_studio.serving.site import Site
+from roboxim_tasks.components import ResetContext
 
 COUNTED = 20
 """Scenes that are drawn to count refusals."""
@@ -31,8 +38,9 @@ class ComposePanel:
     """Draws episodes of a task as ``generate`` would."""
 
     def __init__(
-        self, site: Site, view: SceneView, bench: Bench, lab: Lab, editor: EditorPanel, watch: Callable[[Film], None]
-    ) -> None:
+        self, site: Site, view: SceneView, bench: Bench, lab: Lab, editor: EditorPanel, watch: Callable[[Film], None],
+        folder: Path,
+    ) -> None:  # fmt: skip
         """Build the panel in the current container.
 
         Args:
@@ -42,10 +50,11 @@ class ComposePanel:
             lab: What they run with.
             editor: Where drawn scenes are edited.
             watch: Called with an episode that the expert has played.
+            folder: Folder to save tasks into.
         """
         self._site, self._gui, self._view = site, site.viser.gui, view
         self._bench, self._lab, self._editor, self._watch = bench, lab, editor, watch
-        self._cancel = threading.Event()
+        self._cancel, self._saves = threading.Event(), folder
         self.drawn: Draw | None = None
         """The newest draw."""
         gui = self._gui
@@ -61,11 +70,16 @@ class ComposePanel:
             stop = gui.add_button("Stop")
             count = gui.add_button("How often is it refused?")
             self._told = gui.add_html("")
+            self.form = TaskForm(gui, editor.library, lambda why: self._tell(why, alert=True))
+            self._name = gui.add_text("Save task as", initial_value="my_task", hint=f"Into {folder.name}, as YAML")
+            save = gui.add_button("Save the task")
         draw.on_click(lambda _: self.draw())
         another.on_click(lambda _: self.draw(another=True))
         solve.on_click(lambda _: self.solve())
         stop.on_click(lambda _: self._cancel.set())
         count.on_click(lambda _: self.count())
+        save.on_click(lambda _: self._save())
+        self._task.on_update(by_person(lambda _: self._choose()))
 
     def open(self, task: str = "") -> Any:
         """Show a task and its first scene; returns the future draw.
@@ -78,7 +92,40 @@ class ComposePanel:
             self._task.options = (*self._task.options, task)
         if task:
             self._task.value = task
+        self._choose()
         return self.draw()
+
+    def _choose(self) -> None:
+        """Compose the chosen task."""
+        try:
+            self.form.open(task_text(self.chosen))
+        except RoboximError as error:
+            self._tell(str(error), alert=True)
+
+    @property
+    def text(self) -> str:
+        """YAML of the task that is drawn: the composed one, or the chosen one if it cannot be composed.
+
+        Raises:
+            ConfigError: When the chosen one is not in the list.
+        """
+        chosen = self.chosen
+        return self.form.made.text if self.form.made is not None else task_text(chosen)
+
+    def save(self, name: str) -> Path | None:
+        """Save the task; returns the file, or None if it is not possible, which the panel says."""
+        try:
+            file = file_to_save(self._saves, name)
+            write_whole(file, f"# Made with roboxim studio.\n{self.text}")
+        except (RoboximError, OSError) as error:
+            self._tell(str(error), alert=True)
+            return None
+        self._tell(
+            f"saved as {file.name}; the same scenes:\n"
+            f"roboxim generate --task {file.name} --seed {self.seed.run_seed}\n"
+            f"roboxim tasks sample --task {file.name} --seed {self.seed.run_seed} --purpose {self.seed.purpose}"
+        )
+        return file
 
     @property
     def chosen(self) -> str:
@@ -121,16 +168,19 @@ class ComposePanel:
         self._cancel.clear()
         return self._bench.do(lambda: self._count(seed))
 
+    def _save(self) -> None:
+        self.save(str(self._name.value))
+
     def _draw(self, seed: SeedPath) -> Draw | None:
         try:
-            self.drawn = self._lab.draw(task_text(self.chosen), seed)
+            self.drawn = self._lab.draw(self.text, seed)
         except RoboximError as error:
             self._tell(str(error), alert=True)
             return None
         reset = self._lab.graph.tasks.generator.last_reset
-        refused = dict(reset.rejections) if reset else {}
+        refused = _causes(reset) if reset else Counter()
         self._tell(
-            f"{self.drawn.task.instruction}\nindex {seed.index}, "
+            f"{self.drawn.task.instruction}\nindex {seed.index}, scene {digest(self.drawn.scene)}, "
             f"{sum(refused.values())} draws refused{': ' + _listed(refused) if refused else ''}"
         )
         self._editor.open(from_draw(self.drawn))
@@ -163,7 +213,7 @@ class ComposePanel:
         counts: Counter[str] = Counter()
         draws = failed = 0
         try:
-            text = task_text(self.chosen)
+            text = self.text
         except RoboximError as error:
             self._tell(str(error), alert=True)
             return counts
@@ -179,17 +229,27 @@ class ComposePanel:
                 failed += 1
             reset = self._lab.graph.tasks.generator.last_reset
             if reset is not None:
-                counts.update(reset.rejections)
+                counts.update(_causes(reset))
                 draws += reset.draws
             refused = sum(counts.values())
             share = f"{100 * refused / draws:.0f} % of {draws} draws" if draws else "no draw"
-            self._tell(
-                f"{done} of {COUNTED} scenes: {share} refused, {failed} without a scene\n{_listed(counts) or 'nothing'}"
-            )
+            causes = _listed(counts) or "no constraint refused a draw"
+            self._tell(f"{done} of {COUNTED} scenes: {share} refused, {failed} without a scene\n{causes}")
         return counts
 
     def _tell(self, text: str, *, alert: bool = False) -> None:
         self._told.content = markup.paragraph(text, "composed", alert=alert)
+
+
+def _causes(reset: ResetContext) -> Counter[str]:
+    """Return how often each constraint refused a draw; with the cause where one is known."""
+    found: Counter[str] = Counter()
+    for constraint, count in reset.rejections.items():
+        known = reset.causes.get(constraint, Counter())
+        found.update({f"{constraint} ({cause})": number for cause, number in known.items()})
+        if left := count - known.total():
+            found[constraint] += left
+    return found
 
 
 def _listed(counts: dict[str, int]) -> str:

@@ -14,7 +14,6 @@ from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
 from roboxim_core.state import StateRecord
 from roboxim_recorder.acted import ActedBy
-from roboxim_runs.episodes.task_choice import task_text
 from roboxim_studio.acting.drive import Drive, continued, next_index
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.acting.partner import Partner
@@ -152,7 +151,7 @@ class DrivePanel:
                 raise ConfigError("no episode is open; open one in 'Episode', or choose another scene")
             return continued(film, tick)
         edited = self._source.value == EDITED and desk is not None
-        text = as_yaml(desk.document) if edited and desk is not None else task_text(self._compose.chosen)
+        text = as_yaml(desk.document) if edited and desk is not None else self._compose.text
         return self._lab.draw(text, seed), []
 
     def _hand(self, drive: Drive, *, to_partner: bool, why: str = "") -> None:

@@ -41,7 +41,7 @@ class Editor(Protocol):
         ...
 
 
-def by_person(act: Callable[[Any], None]) -> Callable[[Any], None]:
+def by_person(act: Callable[[Any], object]) -> Callable[[Any], None]:
     """Return a callback for values that a person sets; those that the studio sets itself change nothing."""
 
     def called(event: Any) -> None:
