@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import resource
 import socket
 import struct
+import subprocess
 import sys
 import threading
 import time
@@ -19,9 +21,11 @@ import pytest
 pytest.importorskip("rclpy")
 
 from roboxim_core.actions import ActionSemantics
+from roboxim_core.errors import PolicyError
 from roboxim_policies import BasePolicy
 from roboxim_policies.serving import policy_server
 from roboxim_policies.serving.listening import BoundedListener
+from roboxim_policies.wires import find_wire
 from roboxim_runs.environments.serving import EnvironmentServer
 
 STAND_ALONE = Path(__file__).parents[1] / "src/roboxim_policies/servers/openpi_server.py"
@@ -47,7 +51,7 @@ class Still(BasePolicy):
         return np.zeros((1, 7), np.float32)
 
 
-def stand_alone():
+def stand_alone(**given):
     """Return a server of the script that imports nothing of RoboXim."""
     spec = importlib.util.spec_from_file_location("openpi_server_under_attack", STAND_ALONE)
     module = importlib.util.module_from_spec(spec)
@@ -71,14 +75,14 @@ def stand_alone():
             """Return zeros."""
             return [({"actions": np.zeros((1, 7), np.float32)}, None) for _ in asked]
 
-    return module.Server(Model(), port=0, quiet=True)
+    return module.Server(Model(), port=0, quiet=True, **given)
 
 
 SERVERS = {
-    "openpi": lambda: policy_server(Still, "openpi", port=0),
-    "vla_eval": lambda: policy_server(Still, "vla_eval", port=0),
-    "openvla": lambda: policy_server(Still, "openvla", port=0),
-    "gymnasium": lambda: EnvironmentServer(port=0),
+    "openpi": lambda **given: policy_server(Still, "openpi", port=0, **given),
+    "vla_eval": lambda **given: policy_server(Still, "vla_eval", port=0, **given),
+    "openvla": lambda **given: policy_server(Still, "openvla", port=0, **given),
+    "gymnasium": lambda **given: EnvironmentServer(port=0, **given),
     "stand-alone": stand_alone,
 }
 WEBSOCKETS = [name for name in SERVERS if name != "openvla"]
@@ -160,6 +164,63 @@ def test_silent_connections_cost_a_bounded_number_of_threads(server, monkeypatch
     assert answers(server), "once they have left"
 
 
+@pytest.mark.parametrize("name", SERVERS)
+def test_a_server_that_is_full_can_be_stopped(name, monkeypatch):
+    """Its thread may wait for the next connection, having just closed one too many."""
+    for listener in (BoundedListener, getattr(sys.modules.get("openpi_server_under_attack"), "_Listener", None)):
+        if listener:
+            monkeypatch.setattr(listener, "most", 4)
+    with ExitStack() as stack:
+        with SERVERS[name]() as server:
+            for _ in range(8):
+                with suppress(OSError):
+                    stack.enter_context(connected(server))
+            time.sleep(0.2)  # so that the server has taken them; without it the test only tests less
+        assert not server._thread.is_alive()
+
+
+def other_user(port, host="127.0.0.1"):
+    """Return what a process of another user gets from a server; empty: the connection was closed without a word."""
+    program = (
+        "import encodings.idna, os, socket, sys\n"
+        "os.setuid(65534)\n"
+        f"made = socket.create_connection(({host!r}, {port}), timeout={GENEROUS_S})\n"
+        f"made.sendall({UPGRADE!r})\n"
+        "sys.stdout.buffer.write(made.recv(65536))\n"
+    )
+    return subprocess.run([sys.executable, "-I", "-c", program], capture_output=True, check=True).stdout
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="acts as another user, which only the superuser can")
+@pytest.mark.parametrize("name", SERVERS)
+def test_other_users_of_the_machine_are_refused_unless_they_are_let_in(name):
+    logged = []
+    with SERVERS[name](**({} if name == "stand-alone" else {"log": logged.append})) as server:
+        reply = other_user(server.port)
+        assert reply.startswith(b"HTTP/1.1 403")
+        assert b"belongs to another user of the machine; its owner can start it with --all-users" in reply
+        assert answers(server), "its own user"
+        assert name == "stand-alone" or logged == ["refused a connection of the user with id 65534"]
+    with SERVERS[name](all_users=True) as server:
+        assert other_user(server.port).startswith(b"HTTP/1.1 404" if name == "openvla" else b"HTTP/1.1 101")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="acts as another user, which only the superuser can")
+@pytest.mark.parametrize(("host", "status"), [("0.0.0.0", b"101"), ("::1", b"403"), ("::", b"101")])  # noqa: S104
+def test_only_loopback_addresses_are_kept_from_other_users(host, status):
+    with policy_server(Still, "openpi", host=host, port=0) as server:
+        reached = "::1" if ":" in host else "127.0.0.1"
+        assert other_user(server.port, reached).startswith(b"HTTP/1.1 " + status)
+
+
+def test_remote_policy_is_told_that_the_server_is_another_users(monkeypatch):
+    monkeypatch.setattr("roboxim_policies.serving.listening.user_of_peer", lambda connection: 12345)
+    with policy_server(Still, "openpi", port=0) as server:
+        wire = find_wire("openpi")(server.url, reconnect_s=0.0)
+        with pytest.raises(PolicyError, match="HTTP status 403: the server belongs to another user.*--all-users"):
+            wire.connect()
+
+
 @pytest.mark.parametrize("server", WEBSOCKETS, indirect=True)
 def test_compression_is_not_spoken_so_there_is_no_bomb(server):
     made, head = upgraded(server)
@@ -218,8 +279,8 @@ def test_a_stopped_server_leaves_no_client_connected():
         assert threading.active_count() <= before, name
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("server", ["openpi", "vla_eval"], indirect=True)
+@pytest.mark.thorough
+@pytest.mark.parametrize("server", SERVERS, indirect=True)
 def test_ten_thousand_connections_leave_the_server_answering(server):
     """One after another, as many open at a time as the limit of open files allows (both ends are in this process)."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

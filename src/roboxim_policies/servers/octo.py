@@ -224,7 +224,7 @@ def main() -> int:
         served = Octo(model, unnorm_key=options.unnorm_key, batch=options.batch)
     except ValueError as error:
         parser.error(str(error))
-    return serve(served, options.host, options.port)
+    return serve(served, options.host, options.port, all_users=options.all_users)
 
 
 if __name__ == "__main__":

@@ -14,10 +14,14 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
+import ipaddress
 import logging
+import os
 import queue
 import signal
 import socket
+import struct
 import sys
 import threading
 import traceback
@@ -32,6 +36,8 @@ MESSAGE_BYTES = 64 * 2**20
 """Largest message [bytes]."""
 MOST_CONNECTIONS = 32
 """Largest number of connections at the same time."""
+OTHERS = b"the server belongs to another user of the machine; its owner can start it with --all-users"
+"""Answer to a connection of another user."""
 ITEMS = 10_000
 """Largest number of items of a list or a map in a request; arrays are bytes."""
 QUIET = logging.getLogger("openpi_server")
@@ -235,34 +241,90 @@ def _resolve(future: Future, call: Any) -> None:
 
 
 class _Listener(socket.socket):
-    """A listening socket that closes connections beyond a bound: each costs a thread, even one that stays silent."""
+    """A listening socket that closes connections beyond a bound: each costs a thread, even one that stays silent.
+
+    On a loopback address it also refuses other users of this machine, whom the kernel tells (Linux).
+    """
 
     most = 4 * MOST_CONNECTIONS
 
     @classmethod
-    def at(cls, host: str, port: int) -> _Listener:
+    def at(cls, host: str, port: int, all_users: bool) -> _Listener:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        made = cls(family, socket.SOCK_STREAM, fileno=socket.create_server((host, port), family=family).detach())
-        made.accepted = []
+        listening = socket.create_server((host, port), family=family, backlog=socket.SOMAXCONN)
+        made = cls(family, socket.SOCK_STREAM, fileno=listening.detach())
+        made.accepted, made.refused = [], []
+        loopback = ipaddress.ip_address(made.getsockname()[0]).is_loopback
+        made.all_users = all_users or not loopback or not _kernel_tells()
         return made
 
     def accept(self) -> tuple:
         while True:
             found, address = super().accept()
             self.accepted = [known for known in self.accepted if known.fileno() != -1]
-            if len(self.accepted) < self.most:
+            if len(self.accepted) < self.most and (self.all_users or _user_of_peer(found) in (os.geteuid(), 0)):
                 self.accepted.append(found)
                 return found, address
-            found.close()
+            if len(self.accepted) >= self.most:
+                found.close()
+                continue
+            print("refused a connection of another user; --all-users lets all connect", file=sys.stderr)
+            with contextlib.suppress(OSError):
+                found.sendall(b"HTTP/1.1 403 Forbidden\r\nContent-Length: %d\r\n\r\n%b" % (len(OTHERS), OTHERS))
+                found.shutdown(socket.SHUT_WR)
+            self.refused = [*self.refused[-7:], found]  # one that is closed at once may lose its last words
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self.shutdown(socket.SHUT_RDWR)  # ends an `accept` that waits
+        super().close()
+
+
+def _user_of_peer(connection: socket.socket) -> int | None:
+    """Return the id of the user at the other end, as Linux tells (sock_diag, inet_diag.h); None: it has gone.
+
+    Raises:
+        OSError: When the kernel cannot tell.
+    """
+    try:
+        (there, from_port, *_), (here, to_port, *_) = connection.getpeername(), connection.getsockname()
+    except OSError:
+        return None
+    there, here = (socket.inet_pton(connection.family, host).ljust(16, b"\0") for host in (there, here))
+    ends = struct.pack("!HH16s16s", from_port, to_port, there, here) + struct.pack("=III", 0, 2**32 - 1, 2**32 - 1)
+    request = struct.pack("=BBBBI", connection.family, socket.IPPROTO_TCP, 0, 0, 2**32 - 1) + ends
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, 4) as kernel:
+        kernel.send(struct.pack("=IHHII", 16 + len(request), 20, 1, 1, 0) + request)
+        reply = kernel.recv(4096)
+    if struct.unpack_from("=H", reply, 4)[0] != 20:
+        (code,) = struct.unpack_from("=i", reply, 16)
+        if code == -errno.ENOENT:
+            return None
+        raise OSError(-code, os.strerror(-code))
+    user, inode = struct.unpack_from("=II", reply, 16 + 64)
+    return user if inode else None
+
+
+def _kernel_tells() -> bool:
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()):
+        try:
+            with server.accept()[0] as accepted:
+                return _user_of_peer(accepted) is not None
+        except (OSError, AttributeError):
+            print("every user of this machine can connect: the kernel does not tell users apart", file=sys.stderr)
+            return False
 
 
 class Server:
     """A server of one model; a context manager. Each connection has a session of its own."""
 
-    def __init__(self, model: Model, host: str = "127.0.0.1", port: int = 8000, *, quiet: bool = False) -> None:
+    def __init__(
+        self, model: Model, host: str = "127.0.0.1", port: int = 8000, *, all_users: bool = False, quiet: bool = False
+    ) -> None:  # fmt: skip
         self.model = model
         self.worker = Worker(model)
         self.host, self.port = host, port
+        self._all_users = all_users
         self._quiet = quiet
         self._places = threading.Semaphore(MOST_CONNECTIONS)
         self._connections: set = set()
@@ -282,7 +344,7 @@ class Server:
         from websockets.sync.server import serve
 
         self._server = serve(
-            self._connected, sock=_Listener.at(self.host, self.port), compression=None,
+            self._connected, sock=_Listener.at(self.host, self.port, self._all_users), compression=None,
             max_size=MESSAGE_BYTES, ping_interval=None,
             close_timeout=1.0, origins=[None], process_request=_health, logger=QUIET,
         )  # fmt: skip
@@ -353,18 +415,23 @@ def _health(connection: Any, request: Any) -> Any:
 def arguments(about: str) -> argparse.ArgumentParser:
     """Return a parser with the options that all servers have."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen at; whoever connects can use the model")
+    parser.add_argument(
+        "--host",
+        default="127.0.0.1",
+        help="address to listen at; another one than this machine's own lets everybody connect who can reach it",
+    )
+    parser.add_argument("--all-users", action="store_true", help="let other users of this machine connect, too")
     parser.add_argument("--port", type=int, default=8000, help="port to listen at; 0: any (default: 8000)")
     return parser
 
 
-def serve(model: Model, host: str, port: int) -> int:
+def serve(model: Model, host: str, port: int, *, all_users: bool = False) -> int:
     """Serve until Ctrl-C or SIGTERM, and return the exit code."""
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     try:
-        with Server(model, host, port) as server:
+        with Server(model, host, port, all_users=all_users) as server:
             print(f"serving at {server.url}", flush=True)
             ended.wait()
     except OSError as error:

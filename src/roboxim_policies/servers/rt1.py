@@ -147,7 +147,8 @@ def main() -> int:
         )
     require_saved_model(options.checkpoint, "RT-1-X's SavedModel", "--checkpoint")
     require_saved_model(options.encoder, "the encoder's SavedModel", "--encoder")
-    return serve(Rt1(SavedPolicy(options.checkpoint), load_encoder(options.encoder)), options.host, options.port)
+    model = Rt1(SavedPolicy(options.checkpoint), load_encoder(options.encoder))
+    return serve(model, options.host, options.port, all_users=options.all_users)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,8 @@ def command() -> None:
     "--most", "max_environments", type=click.IntRange(1, 64), default=8, show_default=True,
     help="Environments at the same time.",
 )  # fmt: skip
-def serve(host: str, port: int, max_environments: int) -> None:
+@click.option("--all-users", is_flag=True, help="Let other users of this machine connect, too.")
+def serve(host: str, port: int, max_environments: int, all_users: bool) -> None:
     r"""Serve environments over a WebSocket; each connection is one environment.
 
     \b
@@ -38,8 +39,9 @@ def serve(host: str, port: int, max_environments: int) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     with EnvironmentServer(
-        host=host, port=port, max_environments=max_environments, log=lambda text: click.echo(text, err=True)
-    ) as server:
+        host=host, port=port, max_environments=max_environments, all_users=all_users,
+        log=lambda text: click.echo(text, err=True),
+    ) as server:  # fmt: skip
         click.echo(f"environments at {server.url}; Ctrl-C stops the server")
         if host not in ("127.0.0.1", "::1", "localhost"):
             click.echo("anybody who can reach this address can run episodes", err=True)

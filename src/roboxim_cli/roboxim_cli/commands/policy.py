@@ -34,6 +34,7 @@ def command() -> None:
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="Port, with --wire; 0: any."
 )
+@click.option("--all-users", is_flag=True, help="Let other users of this machine connect, too, with --wire.")
 @click.option(
     "--convention", default="", help="Convention of requests and answers, with --wire; default: the policy's own."
 )
@@ -47,6 +48,7 @@ def serve(
     wire: str,
     host: str,
     port: int,
+    all_users: bool,
     convention: str,
     size: str,
     params_files: tuple[str, ...],
@@ -68,7 +70,10 @@ def serve(
     roboxim evaluate --policy openpi --option url=ws://127.0.0.1:8000 --option convention=server --option version=bc
     """
     if wire:
-        _serve_wire(spec, options, wire=wire, host=host, port=port, convention=convention, size=parse_size(size)[0])
+        _serve_wire(
+            spec, options, wire=wire, host=host, port=port, all_users=all_users, convention=convention,
+            size=parse_size(size)[0],
+        )  # fmt: skip
         return
     from roboxim_bringup.graph import PolicyLaunch
     from roboxim_bringup.parameters import parse_options
@@ -81,8 +86,9 @@ def serve(
 
 
 def _serve_wire(
-    spec: str, options: tuple[str, ...], *, wire: str, host: str, port: int, convention: str, size: int
-) -> None:
+    spec: str, options: tuple[str, ...], *, wire: str, host: str, port: int, all_users: bool, convention: str,
+    size: int,
+) -> None:  # fmt: skip
     """Serve a policy over a wire until a signal arrives."""
     import signal
     import threading
@@ -96,7 +102,7 @@ def _serve_wire(
     meaning = load_convention(convention) if convention else None
     server = policy_server(
         lambda: load_policy(spec, **given), wire, convention=meaning, size=size, host=host, port=port,
-        log=lambda text: click.echo(text, err=True),
+        all_users=all_users, log=lambda text: click.echo(text, err=True),
     )  # fmt: skip
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -21,7 +21,7 @@ class PolicyServer(ABC):
     """Scheme of its URL."""
 
     def __init__(
-        self, sessions: Sessions, *, host: str = "127.0.0.1", port: int = 8000,
+        self, sessions: Sessions, *, host: str = "127.0.0.1", port: int = 8000, all_users: bool = False,
         log: Callable[[str], None] = lambda text: None,
     ) -> None:  # fmt: skip
         """Prepare a server.
@@ -30,10 +30,12 @@ class PolicyServer(ABC):
             sessions: The policy's sessions.
             host: Address to listen at.
             port: Port to listen at; 0: any.
+            all_users: Whether other users of this machine may connect to a loopback address; see `BoundedListener`.
             log: Receives a line for each connection and each error.
         """
         self.sessions = sessions
         self.host, self.port = host, port
+        self.all_users = all_users
         self.log = log
         self._thread: threading.Thread | None = None
 

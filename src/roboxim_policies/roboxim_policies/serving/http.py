@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import traceback
 from collections import OrderedDict
@@ -76,15 +77,16 @@ class OpenVlaServer(PolicyServer):
             def log_message(self, *_: Any) -> None:
                 pass
 
-        self._server = ThreadingHTTPServer((self.host, self.port), Handler)
-        self._server.daemon_threads = True
-        self._server.socket = BoundedListener.of(self._server.socket)
+        self._server = _Server((self.host, self.port), Handler)
+        self._listener = BoundedListener.of(self._server.socket, all_users=self.all_users, log=self.log)
+        self._server.socket = self._listener
         self.port = self._server.server_address[1]
 
     def _serve(self) -> None:
         self._server.serve_forever(poll_interval=0.05)
 
     def _stop(self) -> None:
+        self._listener.end()
         self._server.shutdown()
         self._server.server_close()
         with self._lock:
@@ -148,6 +150,16 @@ class OpenVlaServer(PolicyServer):
             client = self._clients[name]
         with client.lock:
             yield client
+
+
+class _Server(ThreadingHTTPServer):
+    """Threads that end with the process, and a queue of more than the five clients of `socketserver`."""
+
+    daemon_threads = True
+    request_queue_size = socket.SOMAXCONN
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Ignore a client that leaves in the middle; what a policy raises is an answer."""
 
 
 class _Client:

@@ -1,17 +1,31 @@
-"""A listening socket with a bound on open connections.
+"""A listening socket that decides who may connect.
 
 Servers of `websockets` and `http.server` start a thread for each connection before it has sent a byte. Ten thousand
 connections that stay silent would be ten thousand threads. Connections beyond the bound are closed at once.
+
+Clients of openpi, OpenVLA and vla-eval know no token. A server that listens to this machine alone therefore asks the
+kernel which user has the other end of a connection, and refuses other users.
 """
 
 from __future__ import annotations
 
+import errno
+import ipaddress
 import logging
+import os
 import socket
+import struct
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
+
+from roboxim_policies.wires.websocket import OTHERS
 
 MOST_CONNECTIONS = 320
 """Largest number of open connections of a server: more than its sessions, of which a shared policy has 256."""
+NETLINK_SOCK_DIAG, SOCK_DIAG_BY_FAMILY, NLM_F_REQUEST, ANY = 4, 20, 1, 0xFFFFFFFF
+"""Linux's numbers for a question about one connection."""
+REFUSAL = b"HTTP/1.1 403 Forbidden\r\nContent-Length: %d\r\nConnection: close\r\n\r\n%b" % (len(OTHERS), OTHERS)
 
 
 QUIET = logging.getLogger("roboxim.websockets")
@@ -20,7 +34,7 @@ QUIET.setLevel(logging.CRITICAL)
 
 
 class BoundedListener(socket.socket):
-    """A listening socket that accepts no more than a number of connections at the same time."""
+    """A listening socket that accepts a bounded number of connections, on a loopback address of its own user alone."""
 
     most: int = MOST_CONNECTIONS
     """Largest number of open connections."""
@@ -29,32 +43,118 @@ class BoundedListener(socket.socket):
         """Make a socket; see `of` and `at`."""
         super().__init__(*arguments, **options)
         self._accepted: list[socket.socket] = []
+        self._refused: list[socket.socket] = []
+        self._all_users = True
+        self._log: Callable[[str], None] = lambda text: None
 
     @classmethod
-    def of(cls, listening: socket.socket) -> BoundedListener:
-        """Take over a listening socket, which must not be used any more."""
-        return cls(listening.family, listening.type, listening.proto, fileno=listening.detach())
+    def of(
+        cls, listening: socket.socket, *, all_users: bool = False, log: Callable[[str], None] = lambda text: None
+    ) -> BoundedListener:
+        """Take over a listening socket, which must not be used any more.
+
+        Args:
+            listening: The socket.
+            all_users: Whether other users of this machine may connect to a loopback address. To another address
+                everybody may who can reach it.
+            log: Receives a line for each refused user.
+        """
+        made = cls(listening.family, listening.type, listening.proto, fileno=listening.detach())
+        loopback = ipaddress.ip_address(made.getsockname()[0]).is_loopback
+        made._all_users = all_users or not loopback or not _kernel_tells(log)
+        made._log = log
+        return made
 
     @classmethod
-    def at(cls, host: str, port: int) -> BoundedListener:
+    def at(cls, host: str, port: int, **options: Any) -> BoundedListener:
         """Listen at an address.
 
         Args:
             host: Name or address.
             port: Port; 0: any.
+            **options: As `of`.
 
         Raises:
             OSError: When the port is taken or the host is not of this machine.
         """
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        return cls.of(socket.create_server((host, port), family=family))
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET  # a full queue costs a client 1, 3, 7, ... s
+        return cls.of(socket.create_server((host, port), family=family, backlog=socket.SOMAXCONN), **options)
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """Wait for a connection for which there is room; close the others."""
+        """Wait for a connection that may come in; close the others.
+
+        Raises:
+            OSError: When the socket is closed meanwhile.
+        """
         while True:
             accepted, address = super().accept()
             self._accepted = [known for known in self._accepted if known.fileno() != -1]
-            if len(self._accepted) < self.most:
+            if len(self._accepted) >= self.most:
+                accepted.close()
+            elif not self._all_users and (user := user_of_peer(accepted)) not in (os.geteuid(), 0):
+                self._log(
+                    f"refused a connection of {'an unknown user' if user is None else f'the user with id {user}'}"
+                )
+                self._refuse(accepted)
+            else:
                 self._accepted.append(accepted)
                 return accepted, address
-            accepted.close()
+
+    def _refuse(self, accepted: socket.socket) -> None:
+        """Say why, and close the connection a few others later: one that is closed at once may lose its last words."""
+        with suppress(OSError):
+            accepted.sendall(REFUSAL)
+            accepted.shutdown(socket.SHUT_WR)
+        self._refused.append(accepted)
+        while len(self._refused) > 8:
+            self._refused.pop(0).close()
+
+    def end(self) -> None:
+        """End an `accept` that waits in another thread, which closing alone does not."""
+        with suppress(OSError):
+            self.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Close the socket, and end an `accept` that waits."""
+        self.end()
+        for refused in self._refused:
+            refused.close()
+        super().close()
+
+
+def _kernel_tells(log: Callable[[str], None]) -> bool:
+    """Whether this kernel tells who has the other end of a connection."""
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()):
+        try:
+            with server.accept()[0] as accepted:
+                return user_of_peer(accepted) is not None
+        except (OSError, AttributeError) as error:
+            log(f"every user of this machine can connect: the kernel does not tell users apart ({error})")
+            return False
+
+
+def user_of_peer(connection: socket.socket) -> int | None:
+    """Return the id of the user who has the other end of a connection within this machine; None: it has gone.
+
+    Source: Linux, sock_diag(7) and include/uapi/linux/inet_diag.h.
+
+    Raises:
+        OSError: When the kernel cannot tell.
+    """
+    try:
+        (there, from_port, *_), (here, to_port, *_) = connection.getpeername(), connection.getsockname()
+    except OSError:
+        return None
+    there, here = (socket.inet_pton(connection.family, host).ljust(16, b"\0") for host in (there, here))
+    ends = struct.pack("!HH16s16s", from_port, to_port, there, here) + struct.pack("=III", 0, ANY, ANY)
+    request = struct.pack("=BBBBI", connection.family, socket.IPPROTO_TCP, 0, 0, ANY) + ends
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, NETLINK_SOCK_DIAG) as kernel:
+        kernel.send(struct.pack("=IHHII", 16 + len(request), SOCK_DIAG_BY_FAMILY, NLM_F_REQUEST, 1, 0) + request)
+        reply = kernel.recv(4096)
+    if struct.unpack_from("=H", reply, 4)[0] != SOCK_DIAG_BY_FAMILY:
+        (code,) = struct.unpack_from("=i", reply, 16)
+        if code == -errno.ENOENT:
+            return None
+        raise OSError(-code, os.strerror(-code))
+    user, inode = struct.unpack_from("=II", reply, 16 + 64)
+    return user if inode else None  # without one it is nobody's any more, whose user reads as 0

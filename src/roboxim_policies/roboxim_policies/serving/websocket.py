@@ -33,8 +33,9 @@ class WebSocketServer(PolicyServer):
     def _listen(self) -> None:
         from websockets.sync.server import serve
 
+        listener = BoundedListener.at(self.host, self.port, all_users=self.all_users, log=self.log)
         self._server = serve(
-            self._connected, sock=BoundedListener.at(self.host, self.port), compression=None,
+            self._connected, sock=listener, compression=None,
             max_size=MESSAGE_BYTES, ping_interval=None,
             close_timeout=1.0, origins=[None], logger=QUIET, process_request=self._health,
         )  # fmt: skip

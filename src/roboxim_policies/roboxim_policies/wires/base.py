@@ -7,7 +7,8 @@ owns the deadlines and the encoding. Four rules hold for every wire:
 - **Every failure closes the connection.** A reply that comes after its deadline therefore has no reader, and never
   answers the next request.
 - A closed connection is opened again at the next episode, with pauses that grow and end.
-- A server that announces other metadata than at first is refused, because it may serve another model.
+- A server that announces other metadata than at first is refused, because it may serve another model; so is one whose
+  actions have other keys or other numbers of components than in its first answer. The number of actions may vary.
 """
 
 from __future__ import annotations
@@ -24,9 +25,10 @@ import numpy.typing as npt
 
 from roboxim_core.config import to_json
 from roboxim_core.errors import ConfigError, ErrorCode, PolicyError, one_of, printable
+from roboxim_core.limits import echo
 from roboxim_core.policies import EpisodeStart
 from roboxim_core.registry import Registry
-from roboxim_policies.wires.errors import Deadline, died, fault
+from roboxim_policies.wires.errors import Deadline, died, fault, invalid
 
 Request = Mapping[str, Any]
 """What a policy is asked: NumPy arrays and texts by name, e.g. ``{"observation/image": ..., "prompt": "..."}``."""
@@ -94,6 +96,7 @@ class Wire(ABC):
         self.ignored: tuple[str, ...] = ()
         """Names of what the server declares that are not compared with the convention."""
         self._metadata: Metadata | None = None
+        self._components: dict[str, int] = {}
         self._is_open = False
 
     @classmethod
@@ -148,12 +151,21 @@ class Wire(ABC):
         Raises:
             PolicyError: ``POLICY_DIED`` when the connection is lost, ``POLICY_LATE`` after the deadline,
                 ``POLICY_FAULT`` when the server reports an error or breaks the protocol, ``INVALID_ACTION`` when its
-                actions are not finite numbers. The session is then closed.
+                actions are not finite numbers, or have other components than at first. The session is then closed.
         """
         if not self._is_open:
             raise died(f"the session with {self.server} is closed; an episode must begin with reset")
         with _Closing(self):
-            return self._ask(request, Deadline(self.timeout_s))
+            answer = self._ask(request, Deadline(self.timeout_s))
+            components = {key: rows.shape[1] for key, rows in answer.items()}
+            self._components = self._components or components
+            if components != self._components:
+                raise invalid(
+                    f"{self.server} answers other actions than at first, so it may serve another model: the numbers "
+                    f"of components are {echo(components)} instead of {echo(self._components)}; evaluate it in a new "
+                    "folder"
+                )
+            return answer
 
     def close(self) -> None:
         """Close the session; it can be opened again."""

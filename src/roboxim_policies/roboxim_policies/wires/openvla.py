@@ -108,7 +108,11 @@ declares nothing."""
 
 @WIRES.register("openvla")
 class OpenVlaWire(Wire):
-    """A session with a server of OpenVLA or OpenVLA-OFT. Each request is a connection of its own."""
+    """A session with a server of OpenVLA or OpenVLA-OFT.
+
+    Each request is a connection of its own, so that another server may answer the next one: what the server declares
+    is asked again at each episode.
+    """
 
     schemes: ClassVar[tuple[str, ...]] = ("http", "https")
 
@@ -139,9 +143,11 @@ class OpenVlaWire(Wire):
         self._secure = parts.scheme == "https"
         self._port = parts.port or (443 if self._secure else self.port)
         self._client = secrets.token_hex(8)
+        self._asked = False
 
     def _open(self, deadline: Deadline) -> Metadata:
         """Ask for the declaration of RoboXim's own server. A wrong address is found before the first episode."""
+        self._asked = False
         status, data = self._exchange("GET", self._path.removesuffix("/act") + DECLARATION, b"", deadline)
         if status in GATEWAY:
             raise died(f"{self.server} cannot be reached: HTTP status {status} of a gateway before it")
@@ -150,6 +156,9 @@ class OpenVlaWire(Wire):
                 if isinstance(value := decode(data), dict) and OWN_SERVER in value:
                     return plain_metadata(value)
         return {}
+
+    def _alive(self) -> bool:
+        return not self._asked
 
     def _ask(self, request: Request, deadline: Deadline) -> Answer:
         extra: dict[str, Any] = {"unnorm_key": self._unnorm_key} if self._unnorm_key else {}
@@ -186,6 +195,7 @@ class OpenVlaWire(Wire):
     def _exchange(self, method: str, path: str, body: bytes, deadline: Deadline) -> tuple[int, bytes]:
         """Send a request; return status and body of the reply, both within the deadline and the bound of a message."""
         what = f"the reply of {self.server}"
+        self._asked = self._asked or method == "POST"
         connection = self._connected(deadline)
         assert connection.sock is not None
         connection.sock.settimeout(None)  # the watch ends what takes too long

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 CLOSING_S = 0.5
 """Time that a server has to answer the closing handshake [s]."""
+OTHERS = b"the server belongs to another user of the machine; its owner can start it with --all-users"
+"""What RoboXim's servers say to other users."""
 LEGACY: dict[str, Any] = {"legacy": True}
 """Option of websockets 17 and later by which `connect` returns a connection, as it always did before."""
 
@@ -43,7 +45,7 @@ class WebSocket:
             PolicyError: ``POLICY_DIED`` when nobody listens, ``POLICY_LATE`` after the deadline, ``POLICY_FAULT`` when
                 the server refuses the handshake.
         """
-        from websockets.exceptions import InvalidHandshake, InvalidMessage, InvalidStatus, InvalidURI
+        from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMessage, InvalidStatus, InvalidURI
         from websockets.sync.client import ClientConnection, connect
 
         class Direct(ClientConnection):
@@ -72,9 +74,13 @@ class WebSocket:
             if status in GATEWAY:
                 raise died(f"{server} cannot be reached: HTTP status {status} of a gateway before it") from None
             hint = "; pass the server's key with key_env" if status in (401, 403) else ""
+            if OTHERS in (error.response.body or b""):
+                hint = f": {OTHERS.decode()}"
             raise fault(f"{server} refused the connection with HTTP status {status}{hint}") from None
         except (ConnectionError, socket.gaierror, EOFError) as error:
             raise died(f"{server} cannot be reached: {error}; start the server, or check the url") from None
+        except ConnectionClosed:
+            raise died(f"{server} closed the connection during the opening handshake") from None
         except InvalidMessage as error:
             if isinstance(error.__cause__, EOFError | ConnectionError):
                 raise died(f"{server} closed the connection during the opening handshake") from None

@@ -29,6 +29,7 @@ def rows_for(behaviour: str) -> object:
         "short": GOOD[:1],
         "long": np.repeat(GOOD[:1], 50, axis=0) + np.arange(50, dtype=np.float32)[:, None] / 1000,
         "wrong dimension": GOOD[:, :6],
+        "wider": np.concatenate([GOOD, GOOD[:, :1]], axis=1),
     }.get(behaviour, GOOD)
 
 
@@ -136,7 +137,6 @@ def openpi_fake(*behaviours: str, metadata: dict | None = None, port: int = 0) -
 @contextlib.contextmanager
 def vla_eval_fake(*behaviours: str, metadata: dict | None = None, port: int = 0) -> Iterator[Fake]:
     fake = Fake(*behaviours)
-    hello = {"protocol_version": 1, "model_server": "Fake", **(metadata or {})}
 
     def serve_connection(connection) -> None:
         def send(kind: str, payload: dict, seq: int) -> None:
@@ -146,6 +146,7 @@ def vla_eval_fake(*behaviours: str, metadata: dict | None = None, port: int = 0)
             request = vla_eval.decode(message)
             fake.kinds.append(request["type"])
             if request["type"] == "hello":
+                hello = {"protocol_version": 1, "model_server": "Fake", **(metadata or {})}
                 send("hello", hello, request["seq"])
             if request["type"] == "episode_start" and fake.behaviours[:1] == ["no start"]:
                 fake.behaviours.pop(0)
@@ -223,9 +224,10 @@ MODALITIES = {
 }
 
 
-def modality_config(kind: groot.Serialiser) -> dict:
+def modality_config(kind: groot.Serialiser, changed: dict) -> dict:
     """Return the reply of a server to ``get_modality_config``."""
-    config = {group: {"delta_indices": [0], "modality_keys": keys} for group, keys in MODALITIES.items()}
+    groups = {**MODALITIES, **changed}
+    config = {group: {"delta_indices": [0], "modality_keys": keys} for group, keys in groups.items()}
     marker = "__ModalityConfig_class__" if kind.npy else "__ModalityConfig__"
     return {group: {marker: True, "as_json": json.dumps(item) if kind.flat else item} for group, item in config.items()}
 
@@ -273,7 +275,8 @@ def groot_fake(
         if behaviour == "late":
             rows = STALE
         keys = MODALITIES["action"][: rows.shape[-1]]
-        parts = {key: rows[..., i : i + 1][None] if rows.ndim == 2 else rows for i, key in enumerate(keys)}
+        cuts = [slice(i, i + 1) for i in range(6)] + [slice(6, None)]
+        parts = {key: rows[..., cut][None] if rows.ndim == 2 else rows for key, cut in zip(keys, cuts, strict=False)}
         return writer.encode(
             {f"action.{k}": v[0] for k, v in parts.items()}
             if kind.flat
@@ -303,7 +306,7 @@ def groot_fake(
                 server.send(answer(request, behaviour))
             elif endpoint == "get_modality_config":
                 reply = fake.behaviours.pop(0).encode("latin-1") if fake.behaviours[:1] == ["ERROR"] else None
-                server.send(reply or groot.N16.encode(modality_config(kind)))
+                server.send(reply or groot.N16.encode(modality_config(kind, metadata or {})))
             else:
                 server.send(kind.encode({}))
         server.close(0)

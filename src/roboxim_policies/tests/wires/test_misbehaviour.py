@@ -12,10 +12,12 @@ import time
 import numpy as np
 import pytest
 import websockets.asyncio.server
-from fake_servers import FAKES, GOOD, groot_fake, openpi_fake, vla_eval_fake
+from fake_servers import FAKES, GOOD, groot_fake, openpi_fake, openvla_fake, vla_eval_fake
 
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, PolicyError
 from roboxim_core.policies import EpisodeStart
+from roboxim_policies.base import load_policy
+from roboxim_policies.serving import policy_server
 from roboxim_policies.wires import arrays, base, find_wire, groot, openpi, openvla, packing, vla_eval
 from roboxim_policies.wires.errors import Deadline
 
@@ -352,15 +354,58 @@ def test_wrong_token_of_groot_is_named(kind, made, monkeypatch):
         np.testing.assert_allclose(answer(made("groot", server.url, key_env="MY_KEY")), GOOD)
 
 
-def test_server_with_other_metadata_after_a_restart_is_refused(made):
-    metadata = {"model": "a"}
-    with openpi_fake("death", metadata=metadata) as server:
-        wire = made("openpi", server.url)
+@pytest.mark.parametrize(
+    ("name", "metadata", "changed"),
+    [
+        ("openpi", {"model": "a"}, {"model": "b"}),
+        ("vla_eval", {"model_server": "a"}, {"model_server": "b"}),
+        ("groot", {"video": ["image"]}, {"action": ["gripper", "x"]}),
+    ],
+)
+def test_server_with_other_metadata_after_a_restart_is_refused(made, name, metadata, changed):
+    with FAKES[name]("good", "death", metadata=metadata) as server:
+        wire = made(name, server.url)
+        np.testing.assert_allclose(answer(wire), GOOD)
         with pytest.raises(PolicyError, match="lost"):
             answer(wire)
-        metadata["model"] = "b"
+        metadata.update(changed)
         with pytest.raises(PolicyError, match="other metadata than at first"):
             wire.reset(START)
+
+
+def test_another_server_of_openvlas_wire_between_two_episodes_is_refused(made):
+    """Each request is a connection of its own, so that no connection is lost when the server is another one."""
+    with openvla_fake() as first:
+        wire = made("openvla", first.url)
+        np.testing.assert_allclose(answer(wire), GOOD)
+    port = int(first.url.rpartition(":")[2])
+    with policy_server(lambda: load_policy("zero"), "openvla", port=port) as server:
+        assert server.url == first.url
+        with pytest.raises(PolicyError, match="other metadata than at first.*roboxim"):
+            answer(wire)
+    with openvla_fake(port=port):
+        np.testing.assert_allclose(answer(wire), GOOD)
+
+
+@pytest.mark.parametrize("name", FAKES)
+@pytest.mark.parametrize("behaviour", ["wider", "wrong dimension", "no actions"])
+def test_actions_that_change_in_mid_run_are_refused(made, name, behaviour):
+    with FAKES[name]("good", behaviour) as server:
+        wire = made(name, server.url)
+        np.testing.assert_allclose(answer(wire), GOOD)
+        with pytest.raises(PolicyError, match=r"other actions than at first.*[268]} instead of|without") as caught:
+            wire.ask(REQUEST)
+        assert caught.value.code == (FAULT if (name, behaviour) == ("openvla", "no actions") else INVALID)
+        np.testing.assert_allclose(answer(wire), GOOD)
+
+
+@pytest.mark.parametrize("name", FAKES)
+def test_number_of_actions_may_change_in_mid_run(made, name):
+    """A policy takes the first of many (`test_remote`), and refuses fewer than its convention executes."""
+    with FAKES[name]("good", "long") as server:
+        wire = made(name, server.url)
+        answer(wire)
+        assert answer(wire).shape == (50, 7)
 
 
 @pytest.mark.parametrize("wire", ["openpi", "vla_eval", "openvla"])

@@ -36,14 +36,18 @@ def rows(number):
 
 
 @contextmanager
-def served(status=200):
+def served(status=200, sizes=()):
+    """Serve; ``sizes``: numbers in the rows of the first answers, else 20."""
     seen = []
 
     class Handler(BaseHTTPRequestHandler):
         def do_POST(self):  # noqa: N802 - http.server's name
             request = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
             seen.append((self.path, request))
-            reply = {"action": rows(len(seen) / 100).tolist()} if status == 200 else {"error": "Request failed"}
+            size = (*sizes, *[20] * len(seen))[len(seen) - 1]
+            reply = (
+                {"action": rows(len(seen) / 100)[:, :size].tolist()} if status == 200 else {"error": "Request failed"}
+            )
             data = json.dumps(reply).encode()
             self.send_response(status)
             self.send_header("Content-Length", str(len(data)))
@@ -115,6 +119,16 @@ def test_an_error_of_the_server_is_named():
         with pytest.raises(PolicyError, match="HTTP status 400.*Request failed") as caught:
             made.act(probe_window(LIBERO))
     assert caught.value.code == ErrorCode.POLICY_FAULT
+
+
+def test_rows_that_change_their_size_in_mid_run_are_refused():
+    with served(sizes=(20, 14)) as (url, _), policy(url) as made:
+        begin(made)
+        made.act(probe_window(LIBERO))
+        with pytest.raises(PolicyError, match="other actions than at first.*{'action': 14} instead of {'action': 20}"):
+            made.act(probe_window(LIBERO))
+        begin(made)
+        assert made.act(probe_window(LIBERO)).shape == (30, 10)
 
 
 def test_wrong_options_and_states_are_refused():

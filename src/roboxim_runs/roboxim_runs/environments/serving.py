@@ -36,7 +36,7 @@ class EnvironmentServer:
     """A server of environments, in threads of its own; a context manager. Web pages are refused."""
 
     def __init__(
-        self, *, host: str = "127.0.0.1", port: int = 8765, max_environments: int = 8,
+        self, *, host: str = "127.0.0.1", port: int = 8765, max_environments: int = 8, all_users: bool = False,
         log: Callable[[str], None] = lambda text: None,
     ) -> None:  # fmt: skip
         """Prepare a server.
@@ -45,10 +45,11 @@ class EnvironmentServer:
             host: Address to listen at. Whoever connects can run episodes.
             port: Port to listen at; 0: any.
             max_environments: Largest number of environments at the same time.
+            all_users: Whether other users of this machine may connect to a loopback address.
             log: Receives a line for each connection and each error.
         """
         self.host, self.port = host, port
-        self._most, self._log = max_environments, log
+        self._most, self._all_users, self._log = max_environments, all_users, log
         self._places = threading.Semaphore(max_environments)
         self._connections: set[Any] = set()
         self._stops = False
@@ -68,8 +69,9 @@ class EnvironmentServer:
         from websockets.sync.server import serve
 
         try:
+            listener = BoundedListener.at(self.host, self.port, all_users=self._all_users, log=self._log)
             self._server = serve(
-                self._connected, sock=BoundedListener.at(self.host, self.port), compression=None,
+                self._connected, sock=listener, compression=None,
                 max_size=MESSAGE_BYTES, ping_interval=None,
                 close_timeout=1.0, origins=[None], logger=QUIET,
             )  # fmt: skip
