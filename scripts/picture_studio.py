@@ -12,9 +12,14 @@ from pathlib import Path
 
 from PIL import Image
 
+from roboxim_bringup.graph import start_graph
 from roboxim_core.poses import Pose
-from roboxim_studio.app import DRIVE, SCENE, Studio
+from roboxim_ros.host import NodeHost
+from roboxim_ros.runs import free_domain, register_run
+from roboxim_studio.acting.live import LiveGraph
+from roboxim_studio.app import DRIVE, GRAPH, SCENE, Studio
 from roboxim_studio.browser import Browser
+from roboxim_studio.editing import composition
 from roboxim_studio.editing import document as edits
 
 DESKTOP, PHONE = (1440, 900), (390, 844)
@@ -46,6 +51,13 @@ class Photographer:
         image.save(self._folder / f"{name}.webp", quality=82, method=6)
         self.frame(image, film_ms)
 
+    def extra(self, name: str, settle_s: float = 4.0) -> None:
+        """Write a picture of the page that the film does not show; one of a phone at three quarters of its size."""
+        image = self.shoot(settle_s)
+        if image.height > image.width:
+            image = image.resize((3 * image.width // 4, 3 * image.height // 4), Image.Resampling.LANCZOS)
+        image.save(self._folder / f"{name}.webp", quality=75, method=6)
+
     def frame(self, image: Image.Image, film_ms: int) -> None:
         """Add a picture to the film."""
         height = round(FILM_WIDTH * image.height / image.width)
@@ -73,6 +85,7 @@ def main() -> None:
         browser.open(studio.url)
         browser.wait("document.documentElement.dataset.studioConnected === 'true'")
         camera = Photographer(browser, folder)
+        composed(studio, browser, camera)
         scene(studio, camera)
         episode(studio, browser, camera)
         studio.show(DRIVE)
@@ -81,9 +94,59 @@ def main() -> None:
         browser.key("KeyF", down=True)
         camera.shoot(2.0)
         camera.picture("studio_drive")
+        on_phone(studio, browser)
+        browser.wait("document.documentElement.dataset.studioDriving === 'true'")
+        camera.extra("studio_drive_phone")
         browser.key("KeyF", down=False)
         camera.film("studio")
+    running_graph(folder)
     print(f"written into {folder}")
+
+
+def composed(studio: Studio, browser: Browser, camera: Photographer) -> None:
+    """Show the form of a task, at the width of a desktop and of a phone."""
+    studio.open_task("put_into").result()
+    form = studio.compose.form
+    form.edit(lambda made: composition.with_distractors(made, 1, 3))
+    form.edit(lambda made: composition.with_templates(made, [*made.templates, "Hide the {target} in the {container}"]))
+    studio.compose.draw(another=True).result()
+    browser.wait("document.querySelector('#composed')?.innerText.includes('scene')")
+    unfold(browser)
+    camera.extra("studio_compose")
+    on_phone(studio, browser)
+    browser.wait("document.querySelector('#composed')?.innerText.includes('scene')")
+    unfold(browser)
+    camera.extra("studio_compose_phone")
+    browser.resize(*DESKTOP)
+    browser.open(studio.url)
+    browser.wait("document.documentElement.dataset.studioConnected === 'true'")
+
+
+def unfold(browser: Browser) -> None:
+    """Open the form of a task, and bring it into sight."""
+    browser.run("[...document.querySelectorAll('*')].find((one) => one.innerText?.trim() === 'Compose').click()")
+    browser.wait("document.querySelector('textarea')")
+    browser.run("document.querySelector('#composed').scrollIntoView()")
+
+
+def on_phone(studio: Studio, browser: Browser) -> None:
+    """Open the page at the size of a phone."""
+    browser.resize(*PHONE, 2.0, phone=True)
+    browser.open(studio.url)
+    browser.wait("document.documentElement.dataset.studioConnected === 'true'")
+
+
+def running_graph(folder: Path) -> None:
+    """Show a running graph."""
+    with free_domain() as domain, NodeHost(domain_id=domain) as host, register_run("up", domain=domain) as run:
+        start_graph(host)
+        with Studio(graph=LiveGraph(run)) as studio, Browser(width=DESKTOP[0], height=DESKTOP[1]) as browser:
+            studio.show(GRAPH)
+            browser.open(studio.url)
+            browser.wait("document.querySelector('#live-facts')?.innerText.includes('tick')")
+            assert studio.live is not None
+            studio.live.select("red_cube")
+            Photographer(browser, folder).extra("studio_graph", 8.0)
 
 
 def scene(studio: Studio, camera: Photographer) -> None:

@@ -69,6 +69,8 @@ class Studio:
         self.site = Site(Access(open_network=open_network), port, received=self._received)
         server = self.site.viser
         server.scene.set_up_direction("+z")
+        server.scene.configure_default_lights(False)  # else a page that opens before a scene draws with them first
+        server.scene.configure_environment_map(None, environment_intensity=0.0)
         server.initial_camera.position = (1.55, -0.9, 0.95)
         server.initial_camera.look_at = (0.45, 0.0, 0.1)
         server.on_client_connect(_look_above_the_panel)
@@ -83,7 +85,7 @@ class Studio:
             self.site, self.bench, self.folder, self.open_bag, self.open_beside,
             lambda: (self.episode.film, self.episode.tick),
         )  # fmt: skip
-        self.dataset = DatasetPanel(self.site)
+        self.dataset = DatasetPanel(self.site, self.view, self.library)
         self.episode = EpisodePanel(self.site, self.view)
         self.what_if = WhatIfPanel(self.site, self.episode, self.bench, self.lab, self.library)
         self.editor = EditorPanel(self.site, self.view, self.bench, self.lab, self.library, self.folder)
@@ -242,10 +244,13 @@ class Studio:
         else:
             self.episode.hide()
             self.what_if.hide()
+            self.dataset.hide()
         if mode == SCENE:
             self.editor.show()
         elif mode == EPISODE:
             self.episode.show_again()
+            if self.dataset.dataset is not None:
+                self.dataset.show_again()
         elif mode == GRAPH and self.live is not None:
             self.live.show()
 

@@ -35,8 +35,75 @@ def find_browser() -> str:
     return named or next(filter(None, map(shutil.which, NAMES)), "")
 
 
-class Browser:
-    """A browser with one page. A context manager."""
+class Page:
+    """What tests do with a page of any browser: run scripts in it, and wait for what they return."""
+
+    def __init__(self) -> None:
+        """Make a page without a browser."""
+        self._ids = itertools.count(1)
+        self._socket: Any = None
+        self.requests: list[str] = []
+        """Addresses that the page has asked for."""
+        self.errors: list[str] = []
+        """Uncaught errors of the page's scripts."""
+
+    def run(self, script: str) -> Any:
+        """Return the value of a JavaScript expression; promises are awaited.
+
+        Raises:
+            RoboximError: When it raises.
+        """
+        raise NotImplementedError
+
+    def wait(self, script: str, seconds: float = WAIT_S) -> None:
+        """Wait until an expression is true; one that raises is not yet.
+
+        Raises:
+            RoboximError: When it is not in time; with the page's text.
+        """
+        wait_for(
+            lambda: self.run(f"(() => {{ try {{ return !!({script}) }} catch (e) {{ return false }} }})()"),
+            f"'{script}' in the page", seconds, self._describe,
+        )  # fmt: skip
+
+    def text(self, selector: str) -> str:
+        """Return the text of the first element of a selector; empty when there is none."""
+        return str(self.run(f"(document.querySelector({json.dumps(selector)}) || {{innerText: ''}}).innerText"))
+
+    def click(self, label: str) -> None:
+        """Click the button of a label, by the page's own event: it need not be in sight."""
+        self.wait(f"!!({_button(label)})")
+        self.run(f"({_button(label)}).click()")
+
+    def _describe(self) -> str:
+        shown = str(self.run("document.body ? document.body.innerText.slice(0, 600) : ''"))
+        return f"the page shows {shown!r}; errors of its scripts: {self.errors[-3:]}"
+
+    def _exchange(self, message: dict[str, Any]) -> Any:
+        """Send a command and return its answer; events that come before it are noted.
+
+        Raises:
+            RoboximError: When the browser does not answer.
+        """
+        message["id"] = next(self._ids)
+        try:
+            self._socket.send(json.dumps(message))
+            while True:
+                answer = json.loads(self._socket.recv(timeout=WAIT_S))
+                if answer.get("id") == message["id"]:
+                    return answer
+                self._note(answer)
+        except (ConnectionClosed, TimeoutError) as error:
+            text = f"the browser does not answer {message['method']}: {error}"
+            raise RoboximError(text, ErrorCode.UNAVAILABLE) from error
+
+    def _note(self, event: Any) -> None:
+        """Keep what an event says."""
+        raise NotImplementedError
+
+
+class Browser(Page):
+    """A Chromium with one page. A context manager."""
 
     def __init__(self, *, width: int = 1280, height: int = 800, scale: float = 1.0) -> None:
         """Start a browser with an empty page.
@@ -49,6 +116,7 @@ class Browser:
         Raises:
             RoboximError: When no browser is installed, or it does not start.
         """
+        super().__init__()
         path = find_browser()
         if not path:
             raise RoboximError(
@@ -58,11 +126,6 @@ class Browser:
         self._folder = tempfile.TemporaryDirectory(prefix="roboxim-browser-", ignore_cleanup_errors=True)
         options = (*OPTIONS, f"--user-data-dir={self._folder.name}", f"--window-size={width},{height}", "about:blank")
         self._process = subprocess.Popen([path, *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        self._ids = itertools.count(1)
-        self.requests: list[str] = []
-        """Addresses that the page has asked for."""
-        self.errors: list[str] = []
-        """Uncaught errors of the page's scripts."""
         try:
             self._socket = self._connect()
             self._session = ""
@@ -85,14 +148,9 @@ class Browser:
 
     def close(self) -> None:
         """End the browser."""
-        if hasattr(self, "_socket"):
+        if self._socket is not None:
             self._socket.close()
-        self._process.terminate()
-        try:
-            self._process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end(self._process)
         self._folder.cleanup()
 
     def open(self, url: str) -> None:
@@ -116,26 +174,6 @@ class Browser:
             raise RoboximError(f"the page's script failed: {answer['exceptionDetails']}")
         return answer["result"].get("value")
 
-    def wait(self, script: str, seconds: float = WAIT_S) -> None:
-        """Wait until an expression is true; one that raises is not yet.
-
-        Raises:
-            RoboximError: When it is not in time; with the page's text.
-        """
-        wait_for(
-            lambda: self.run(f"(() => {{ try {{ return !!({script}) }} catch (e) {{ return false }} }})()"),
-            f"'{script}' in the page", seconds, self._describe,
-        )  # fmt: skip
-
-    def text(self, selector: str) -> str:
-        """Return the text of the first element of a selector; empty when there is none."""
-        return str(self.run(f"(document.querySelector({json.dumps(selector)}) || {{innerText: ''}}).innerText"))
-
-    def click(self, label: str) -> None:
-        """Click the button of a label, by the page's own event: it need not be in sight."""
-        self.wait(f"!!({_button(label)})")
-        self.run(f"({_button(label)}).click()")
-
     def key(self, code: str, *, down: bool) -> None:
         """Press or release a key, e.g. ``KeyW``."""
         key = code.removeprefix("Key").lower() if code.startswith("Key") else {"Space": " "}.get(code, code)
@@ -151,10 +189,6 @@ class Browser:
         data = self._call("Page.captureScreenshot", format="png")["data"]
         path.write_bytes(base64.b64decode(data))
 
-    def _describe(self) -> str:
-        shown = str(self.run("document.body ? document.body.innerText.slice(0, 600) : ''"))
-        return f"the page shows {shown!r}; errors of its scripts: {self.errors[-3:]}"
-
     def _connect(self) -> Any:
         file = Path(self._folder.name) / "DevToolsActivePort"
 
@@ -167,19 +201,10 @@ class Browser:
         return connect(wait_for(address, "the browser"), max_size=None, max_queue=None, ping_interval=None)
 
     def _call(self, method: str, **parameters: Any) -> Any:
-        number = next(self._ids)
-        message: dict[str, Any] = {"id": number, "method": method, "params": parameters}
+        message: dict[str, Any] = {"method": method, "params": parameters}
         if getattr(self, "_session", ""):
             message["sessionId"] = self._session
-        try:
-            self._socket.send(json.dumps(message))
-            while True:
-                answer = json.loads(self._socket.recv(timeout=WAIT_S))
-                if answer.get("id") == number:
-                    break
-                self._note(answer)
-        except (ConnectionClosed, TimeoutError) as error:
-            raise RoboximError(f"the browser does not answer {method}: {error}", ErrorCode.UNAVAILABLE) from error
+        answer = self._exchange(message)
         if "error" in answer:
             raise RoboximError(f"the browser refuses {method}: {answer['error']}")
         return answer["result"]
@@ -208,6 +233,16 @@ def wait_for(
             raise RoboximError(f"waited {seconds:g} s for {what}; {describe()}", ErrorCode.TIMEOUT)
         time.sleep(0.05)
     return found
+
+
+def end(process: subprocess.Popen[Any]) -> None:
+    """End a process that this one has started."""
+    process.terminate()
+    try:
+        process.wait(timeout=10)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def _button(label: str) -> str:

@@ -7,7 +7,7 @@ those again.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from typing import Any
 
@@ -68,12 +68,13 @@ class SceneView:
         self.objects_clicked: Callable[[str], None] | None = None
         """Called with an entity's name when its body is clicked; None: clicks move the view only."""
 
-    def load(self, scene: SceneSpec, offset_y_m: float = 0.0) -> None:
+    def load(self, scene: SceneSpec, offset_y_m: float = 0.0, without: Collection[str] = ()) -> None:
         """Show a scene; bodies that it shares with the one before stay.
 
         Args:
             scene: The scene.
             offset_y_m: Shift of the whole view, to put a second one beside the first [m].
+            without: Bodies of the room to leave out, e.g. ``table``.
 
         Raises:
             ConfigError: When a model, a texture or a camera's parent is unknown; the scene before then remains.
@@ -85,7 +86,7 @@ class SceneView:
         self.scene = scene
         self._frame.position = (0.0, offset_y_m, 0.0)
         with self._server.atomic():
-            out = ("floor", "wall") if self._bare else ()
+            out = {*without, *(("floor", "wall") if self._bare else ())}
             wanted = {body.key: body for body in world.bodies if body.parts and body.key not in out}
             for key in [key for key in self._bodies if key not in wanted]:
                 self._bodies.pop(key)[1].remove()

@@ -1,11 +1,12 @@
 """The panel of a dataset of RLDS, LeRobot or HDF5: an episode's pictures, actions and observations, step by step.
 
-A dataset has no states, so there is no view in 3D; an episode that was exported from a bag names it.
+A dataset has no states. Its arm is shown in 3D where joint positions are stated; an episode of a bag names it.
 """
 
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,24 @@ import cv2
 import numpy as np
 
 from roboxim_core.errors import RoboximError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.specs import RobotSpec, SceneSpec
+from roboxim_core.state import StateRecord
 from roboxim_datasets.dataset import Dataset
-from roboxim_datasets.episode import Episode
+from roboxim_datasets.episode import Episode, Step
 from roboxim_datasets.formats import open_dataset
+from roboxim_studio.episode.arm_track import ArmTrack, arm_track, arms_that_fit, named_arm
 from roboxim_studio.episode.film import Pictures
+from roboxim_studio.episode.statistics import Distribution, distributions
+from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.panels import markup
-from roboxim_studio.panels.plots import COLOURS, Plot
+from roboxim_studio.panels.plots import COLOURS, Plot, add_distributions
 from roboxim_studio.serving.site import Site
+from roboxim_tasks.files import named
 
-MOST_LISTED = 500
-"""Episodes that the list names; others are opened by number."""
+MOST_MEASURED = 500
+"""Episodes whose actions are measured; those of larger datasets are the first ones."""
+UNKNOWN = "unknown"
 LARGEST_PX = 256
 """Longer side of the pictures [px]; larger ones are scaled down."""
 
@@ -30,9 +39,22 @@ LARGEST_PX = 256
 class DatasetPanel:
     """Shows one episode of a dataset."""
 
-    def __init__(self, site: Site) -> None:
-        """Build the panel in the current container; it stays hidden until a dataset is opened."""
-        self._site, self._gui = site, site.viser.gui
+    def __init__(self, site: Site, view: SceneView, library: ModelLibrary) -> None:
+        """Build the panel in the current container; it stays hidden until a dataset is opened.
+
+        Args:
+            site: The page.
+            view: The three-dimensional view.
+            library: The arms that can be shown.
+        """
+        self._site, self._gui, self._view, self._library = site, site.viser.gui, view, library
+        self.track: ArmTrack | None = None
+        """Where the arm is at every step; none: not known."""
+        self.number = 0
+        """The step that is shown."""
+        self._rows: list[Step] = []
+        self._arm = UNKNOWN
+        self._active = False
         self.folder = self._gui.add_folder("Dataset", visible=False)
         self.dataset: Dataset | None = None
         """The dataset."""
@@ -60,9 +82,12 @@ class DatasetPanel:
                 )
             )  # fmt: skip
             number = gui.add_number("Episode", initial_value=0, min=0, max=max(0, len(self.dataset) - 1), step=1)
+            measure = gui.add_button("Measure the actions of all episodes")
+            self._measured = gui.add_folder("Distributions", visible=False)
         number.on_update(lambda event: self.show(int(event.target.value)) if event.client else None)
-        self._fresh = [facts, number]
-        self.folder.visible = True
+        measure.on_click(lambda _: threading.Thread(target=self.measure, name="measure", daemon=True).start())
+        self._fresh = [facts, number, measure]
+        self.folder.visible = self._active = True
         self.show(0)
 
     def show(self, index: int) -> None:
@@ -75,12 +100,14 @@ class DatasetPanel:
             self._site.tell(alert=str(error))
             return
         with self._lock:
-            self.episode, self._pictures = episode, Pictures()
+            self.episode, self._pictures, self._rows, self.number = episode, Pictures(), rows, 0
+            self._arm = named_arm(episode, self._library) or UNKNOWN
             for handle in self._own:
                 handle.remove()
             self._own, self._images = [], {}
             with self.folder:
                 self._build(episode, rows)
+            self.choose_arm(self._arm)
         threading.Thread(target=self._fill, args=(episode, self._pictures), name="pictures", daemon=True).start()
 
     def _build(self, episode: Episode, rows: list[Any]) -> None:
@@ -96,6 +123,13 @@ class DatasetPanel:
                 "dataset-episode",
             )
         )  # fmt: skip
+        fits = () if self._arm != UNKNOWN else arms_that_fit(episode, rows, self._library)
+        arms: Any = gui.add_dropdown(
+            "Arm", tuple(dict.fromkeys((self._arm, UNKNOWN, *fits))), initial_value=self._arm,
+            hint="The arm that is shown in 3D; those offered have as many joints, and reach these positions.",
+        )  # fmt: skip
+        arms.on_update(lambda event: self.choose_arm(str(event.target.value)) if event.client else None)
+        self._said = gui.add_html("")
         slider: Any = gui.add_slider("Step", min=0, max=max(1, len(episode) - 1), step=1, initial_value=0)
         slider.on_update(lambda event: self.step(int(event.target.value)) if event.client else None)
         self._folder = gui.add_folder("Pictures")
@@ -103,11 +137,82 @@ class DatasetPanel:
         with curves:
             for plot in _plots(episode, rows):
                 gui.add_uplot(plot.data(), plot.series(), title=plot.title, height=170)
-        self._own = [facts, slider, self._folder, curves]
+        self._own = [facts, arms, self._said, slider, self._folder, curves]
+
+    def choose_arm(self, name: str) -> None:
+        """Show the positions of the joints with an arm, or say why that is not possible."""
+        with self._lock:
+            if self.episode is None or name not in (UNKNOWN, *self._library.robot_ids):
+                return
+            why = "the dataset names no arm that is known here; choose it above, if it is there"
+            found: ArmTrack | str = why
+            if name != UNKNOWN:
+                found = arm_track(self.episode, self._rows, self._library.robot(name))
+            self.track = found if isinstance(found, ArmTrack) else None
+            if self.track is None:
+                text = f"no 3D: {found}"
+            else:
+                fingers = "" if self.track.opening is not None else "; the gripper's opening is not known, it is open"
+                text = f"in 3D: '{self.track.source}' as the joints of {name}{fingers}"
+            self._said.content = markup.paragraph(text, "dataset-arm")
+            self.show_again()
+
+    def hide(self) -> None:
+        """Leave the view to another panel."""
+        self._active = False
+
+    def show_again(self) -> None:
+        """Take the view."""
+        with self._lock:
+            self._active = True
+            if self.track is not None:
+                base = named("scenes", "empty_table", SceneSpec)
+                robot = RobotSpec(model=self.track.model.id, pose=base.robot.pose)
+                self._view.load(replace(base, robot=robot, cameras=(), entities=()), without=("table", "wall"))
+                self._show_arm()
+            else:
+                self._view.clear()
+
+    def _show_arm(self) -> None:
+        if self._active and self.track is not None and self.number < len(self.track.joints):
+            seq = self.number
+            self._view.show(StateRecord(episode_id="", seq=seq, stamp_ns=0, robot=self.track.state(seq)))
+
+    def measure(self) -> tuple[Distribution, ...]:
+        """Read the actions of all episodes, at most `MOST_MEASURED`, and show how they are distributed."""
+        assert self.dataset is not None
+        count = min(len(self.dataset), MOST_MEASURED)
+        actions = []
+        for index in range(count):
+            try:
+                actions += [step.action for step in self.dataset.episode(index).steps(cameras=())]
+            except RoboximError as error:
+                self._site.tell(alert=str(error))
+            if index % 10 == 0:
+                self._site.tell(hint=f"{index} of {count} episodes read")
+        self._site.tell(hint="")
+        widths = {len(action) for action in actions}
+        if len(widths) != 1:
+            self._site.tell(alert=f"the episodes have actions of several lengths: {sorted(widths)}" if widths else "")
+            return ()
+        semantics = self.episode.semantics if self.episode else None
+        width = widths.pop()
+        names = semantics.component_names(self.episode.joint_names) if semantics and self.episode else ()
+        if len(names) != width:
+            names = tuple(map(str, range(width)))
+        found = distributions(np.array(actions, dtype=float), names)
+        with self._lock, self._measured:
+            for handle in tuple(self._measured._children.values()):
+                handle.remove()
+            add_distributions(self._gui, found, f"{len(actions)} actions of {count} episodes")
+        self._measured.visible = True
+        return found
 
     def step(self, number: int) -> None:
-        """Show the pictures of a step that have come."""
+        """Show the arm at a step, and those of its pictures that have come."""
         with self._lock:
+            self.number = number
+            self._show_arm()
             for name, image in self._pictures.at(number).items():
                 if name in self._images:
                     self._images[name].image = image

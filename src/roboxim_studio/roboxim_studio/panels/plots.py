@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from viser import uplot
 
 from roboxim_studio.episode.film import Film
+from roboxim_studio.episode.statistics import Distribution
+from roboxim_studio.panels import markup
 
 COLOURS = ("#1c7ed6", "#e8590c", "#2f9e44", "#ae3ec9", "#e03131", "#0c8599", "#868e96", "#f08c00")
 DELTAS = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")
@@ -79,3 +82,21 @@ def _measures(film: Film) -> Sequence[Plot]:
         if not lamp and np.nanmax(values) - np.nanmin(values) > 1e-6:
             found.append(Plot(title=name, names=(name,), values=(values,)))
     return found
+
+
+def add_distributions(gui: Any, shown: Sequence[Distribution], title: str) -> None:
+    """Add histograms of actions to the current container, with their numbers.
+
+    Args:
+        gui: The page's inputs.
+        shown: Distributions.
+        title: What they are of.
+    """
+    rows = [(one.name, f"{one.mean:.4g} ± {one.deviation:.3g}, {one.lowest:.4g} to {one.highest:.4g}") for one in shown]
+    gui.add_html(markup.facts([(title, "mean ± deviation, range"), *rows], "action-facts"))
+    for number, one in enumerate(shown):
+        curve = uplot.Series(label="actions", stroke=COLOURS[number % len(COLOURS)], width=1.5)
+        gui.add_uplot(
+            one.outline, (uplot.Series(label=one.name), curve), title=one.name, height=120,
+            scales={"x": uplot.Scale(time=False)},
+        )  # fmt: skip

@@ -39,6 +39,14 @@ POLICY = (
     "form-action 'none'; connect-src 'self' data: blob: ws://{host} wss://{host}"
 )
 """Content security policy of the page: nothing but this server is asked for anything."""
+WARM_UP = b"""
+if (self.Worker && self.OffscreenCanvas) {
+  const source = "const gl = new OffscreenCanvas(1, 1).getContext('webgl2'); if (gl) gl.finish(); close()";
+  new Worker(URL.createObjectURL(new Blob([source])));
+}
+"""
+"""Starts the browser's WebGL in another thread while the page's script of 3 MB is unpacked: the first context of a
+browser takes half a second where WebGL is software, and a page that has not made it yet shows nothing."""
 MOST_BYTES = 16_384
 """Largest message of the control channel."""
 
@@ -237,7 +245,8 @@ def _script() -> bytes:
 
 @lru_cache(maxsize=2)
 def _with_script(page: bytes) -> bytes:
-    """Return viser's page with the studio's script and title."""
+    """Return viser's page with the studio's script and title, and what starts WebGL before the page's own script."""
+    page = page.replace(b"<head>", b"<head><script>" + WARM_UP + b"</script>", 1)
     return page.replace(b"</head>", b'<script src="studio.js" defer></script></head>', 1).replace(
         b"<title>Viser</title>", b"<title>RoboXim studio</title>", 1
     )
