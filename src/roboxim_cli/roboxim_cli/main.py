@@ -24,7 +24,7 @@ SECTIONS = {
     "The main job": (
         "demo", "tasks", "generate", "merge", "export", "dataset", "pretrain", "train", "evaluate", "sweep", "report",
     ),
-    "Experiments": ("experiment", "benchmark", "audit-benchmark"),
+    "Experiments": ("experiment", "benchmark", "audit-benchmark", "correlate"),
     "Why a policy fails": ("explain", "compare-policies", "mine"),
     "Running the graph": ("up", "down", "node", "policy", "runs", "env", "doctor", "upgrade-check"),
     "Planning": ("planner",),

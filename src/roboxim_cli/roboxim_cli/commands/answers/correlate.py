@@ -1,0 +1,67 @@
+"""Compare two benchmarks of the same policies: does one predict the other?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from roboxim_cli import strict
+from roboxim_cli.options import option
+
+
+@strict.command()
+@click.argument("table", type=click.Path(path_type=Path, exists=True))
+@click.argument("ours", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@click.option("--names", default="reality,simulation", show_default=True, metavar="A,B", help="Names of both.")
+@click.option(
+    "--limit", default=0.5, show_default=True, type=click.FloatRange(-1, 1),
+    help="Correlation that more policies are to show.",
+)  # fmt: skip
+@click.option("--no-plan", is_flag=True, help="Do not simulate how many policies would decide it.")
+@option("seed", help="Seed of the interval's draws.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def command(
+    table: Path, ours: tuple[Path, ...], names: str, limit: float, no_plan: bool, seed: int, as_json: bool
+) -> None:  # fmt: skip
+    r"""Say how well OURS predict the results of the same policies in TABLE, e.g. on real robots.
+
+    \b
+    roboxim correlate real.csv runs/evaluation
+    roboxim correlate real.csv runs/so/card.json simulated.csv
+    roboxim correlate runs/raster runs/tiny --names raster,tiny
+
+    Both are tables (.csv or .json with policy, successes, trials and, for several tasks, cell), folders of evaluations
+    or experiments, or cards. Policies are matched by name; those of an experiment are CONDITION and CONDITION.R.
+    """
+    import dataclasses
+    import json
+    import math
+
+    from roboxim_core.errors import ConfigError
+    from roboxim_eval.statistics.correlation import needed_policies, sentences
+    from roboxim_runs.answers.correlating import correlated
+
+    both = [word.strip() for word in names.split(",")]
+    if len(both) != 2 or not all(both):
+        raise ConfigError(f"--names: expected two names with a comma between them, got '{names}'")
+    found = correlated(table, ours, seed=seed)
+    needed = None if no_plan else needed_policies(found, limit=limit, seed=seed)
+    said = sentences(found, (both[0], both[1]))
+    if as_json:
+        data = dataclasses.asdict(found) | {"needed": None if needed is None else dataclasses.asdict(needed)}
+        data["pearson"]["value"] = None if math.isnan(found.pearson.value) else found.pearson.value
+        click.echo(json.dumps({**data, "sentences": said}, indent=2))
+        return
+    width = max(len(policy.name) for policy in found.policies)
+    click.echo(f"{'':<{width}}  {both[0]:>12}  {both[1]:>12}")
+    for policy in found.policies:
+        one, two = (
+            f"{100 * rate:.0f} % of {side[1]:.0f}"
+            for rate, side in zip(policy.rates, (policy.first, policy.second), strict=True)
+        )
+        click.echo(f"{policy.name:<{width}}  {one:>12}  {two:>12}")
+    for sentence in said:
+        click.echo(sentence)
+    if needed is not None:
+        click.echo(needed.sentence)

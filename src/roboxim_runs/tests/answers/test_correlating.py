@@ -1,0 +1,102 @@
+"""Tables of two benchmarks are read, or refused by row."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from roboxim_cli.main import group
+from roboxim_core.config import to_plain
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import ConfigError
+from roboxim_runs.answers.correlating import correlated, read_results
+from roboxim_runs.evaluation.report import RECORD_FILE, EvaluationRecord
+from roboxim_runs.experiments.report import folder_card
+from roboxim_runs.storage.folder import RunFolder
+from roboxim_runs.testing import PLANTED_RATES, planted_folder
+
+REAL = """policy,cell,successes,trials
+bc,can,8,10
+bc,drawer,3,10
+act,can,5,10
+act,drawer,2,10
+zero,can,0,10
+zero,drawer,1,10
+"""
+
+
+def written(path, text):
+    path.write_text(text)
+    return path
+
+
+def test_tables_of_both_forms_are_matched_by_policy_and_cell(tmp_path):
+    real = written(tmp_path / "real.csv", REAL)
+    rows = [
+        {"policy": name, "cell": "can", "successes": n, "trials": 20}
+        for name, n in (("zero", 1), ("act", 9), ("bc", 17))
+    ]
+    ours = written(tmp_path / "ours.json", json.dumps(rows))
+    found = correlated(real, [ours])
+    assert [(p.name, p.rates) for p in found.policies] == [
+        ("bc", (0.8, 0.85)),
+        ("act", (0.5, 0.45)),
+        ("zero", (0.0, 0.05)),
+    ]
+    words = ("correlate", str(real), str(ours), "--no-plan", "--names", "robot,sim")
+    said = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
+    assert "sim and robot, 3 policies: Pearson 0.9" in said
+    data = CliRunner().invoke(group, (*words, "--json"), standalone_mode=False, catch_exceptions=False).stdout
+    assert json.loads(data)["mmrv"]["value"] == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("policy,successes,trials\n", "has no row"),
+        ("policy,wins,trials\nbc,1,2\n", "row 2: unknown column 'wins'"),
+        ("policy,successes\nbc,1\n", "row 2: has no trials"),
+        ("policy,successes,trials\nbc,0.5,2\n", "row 2: expected whole numbers"),
+        ("policy,successes,trials\nbc,3,2\n", "row 2: expected whole numbers"),
+        ("policy,successes,trials\nbc,0,0\n", "row 2: a rate needs at least one trial"),
+        ("policy,successes,trials\nbc,1,2\nbc,1,2\n", "row 3: policy 'bc' has a row of this cell already"),
+        ("policy,cell,successes,trials\nbc,can,1,2\nbc,,1,2\n", "rows with a cell and one without"),
+        ("policy,successes,trials\nbc,1,2,3\n", "row 2: unknown column 'further'"),
+    ],
+)
+def test_a_wrong_table_is_refused_by_row(tmp_path, text, error):
+    with pytest.raises(ConfigError, match=error):
+        read_results(written(tmp_path / "real.csv", text))
+
+
+def test_other_faults_are_refused(tmp_path):
+    real = written(tmp_path / "real.csv", REAL)
+    two = written(tmp_path / "two.csv", "policy,successes,trials\nbc,1,2\nact,1,2\nother,1,2\n")
+    with pytest.raises(ConfigError, match="2 policies in common \\(bc, act\\), and a correlation needs at least 3"):
+        correlated(real, [two])
+    with pytest.raises(ConfigError, match="policy 'act' is in another of the tables"):
+        correlated(real, [two, two])
+    with pytest.raises(ConfigError, match="expected a .csv or .json file"):
+        read_results(written(tmp_path / "real.txt", REAL))
+    with pytest.raises(ConfigError, match="has neither"):
+        read_results(tmp_path)
+    with pytest.raises(ConfigError, match="row 1: expected an object"):
+        read_results(written(tmp_path / "bad.json", "[3]"))
+
+
+def test_folders_of_evaluations_and_experiments_are_tables(tmp_path):
+    card = folder_card(planted_folder(tmp_path / "run", PLANTED_RATES))
+    found = read_results(tmp_path / "run")
+    assert found["leave_out.2"].rate == pytest.approx(0.4)
+    assert found["leave_out"].pooled.episodes == 3 * found["leave_out.0"].pooled.episodes
+    assert read_results(tmp_path / "run/card.json") == found
+    assert card.experiment.name == "mine"
+    out = tmp_path / "evaluation"
+    for name, won in (("bc", 3), ("zero", 0)):
+        with RunFolder(out / name).opened({"command": "evaluate"}) as run:
+            for index in range(4):
+                outcome = "success" if index < won else "failure"
+                run.append(EpisodeResult(episode_id=f"{index}", index=index, outcome=outcome))
+    record = EvaluationRecord(task="pick_cube", seed=0, policies=("bc", "zero"))
+    (out / RECORD_FILE).write_text(json.dumps(to_plain(record)))
+    assert {name: arm.rate for name, arm in read_results(out).items()} == {"bc": 0.75, "zero": 0.0}
