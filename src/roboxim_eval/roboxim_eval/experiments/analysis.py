@@ -176,8 +176,8 @@ def _verdict(
 
 def _scores(design: Design, arms: Mapping[str, Arm], outcomes: Outcomes) -> Scores | None:
     primary, unseen = design.config.primary, _keys(design, "unseen")
-    if primary is None or primary.against or primary.where != "unseen" or not unseen:
-        return None
+    if primary is None or primary.against or primary.where != "unseen" or not unseen or design.config.combinations:
+        return None  # the second side of combinations never saw the held-out cells: it is no baseline
     blind = design.config.blind
     order = outcomes.pairs.get(design.config.compare.index(primary), ())
     swapped = [Pairs(both=p.both, first=p.second, second=p.first, neither=p.neither) for p in order]

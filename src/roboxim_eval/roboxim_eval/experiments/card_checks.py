@@ -11,6 +11,7 @@ from roboxim_core.config import to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments.analysis import Analysis, Comparison, Outcomes, analyse
 from roboxim_eval.experiments.card import ARGUMENTS, Card, CardTraining, CardVerdict, parse_card, sealed
+from roboxim_eval.experiments.combinations import TransferCurve, name_of, transfer_curve
 from roboxim_eval.experiments.design import Design, design_of
 from roboxim_eval.experiments.fresh import public_warnings, require_committed
 from roboxim_eval.statistics.paired import Pairs
@@ -78,6 +79,16 @@ def concluded(card: Card, design: Design | None = None) -> Card:
 def analysis_of(card: Card) -> Analysis:
     """Return the analysis of a card's counts."""
     return analyse(design_of_card(card), outcomes_of_card(card))
+
+
+def card_curve(card: Card) -> TransferCurve | None:
+    """Return transfer as a curve, from a card's counts; none: its experiment has no combinations."""
+    config = card.experiment.config
+    if config.combinations is None:
+        return None
+    largest = name_of(config.combinations.seen[-1])
+    kinds = {one.first: one.kind for one in card.verdicts if one.second == largest and one.where == "unseen"}
+    return transfer_curve(config, config.combinations, outcomes_of_card(card).arms, kinds)
 
 
 def check_card(data: Any, *, source: str = "card") -> Card:

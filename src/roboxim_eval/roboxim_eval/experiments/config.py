@@ -7,16 +7,14 @@ cannot disagree. `roboxim_eval.experiments.cells` expands it to ordinary task mi
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from roboxim_core import limits
-from roboxim_core.config import from_plain, place
-from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError, one_of
-from roboxim_core.plain_data.merging import merged
-from roboxim_eval.experiments.trainers import FORMAT, TRAINERS, TrainerConfig
+from roboxim_eval.experiments.trainers import FORMAT, TrainerConfig
 
 TASK = "task"
 """The factor whose levels are tasks of ``config/tasks``."""
@@ -215,6 +213,31 @@ class CurveConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CombinationsConfig:
+    """Transfer as a curve: success in held-out cells against the number of cells that were trained with."""
+
+    seen: tuple[int, ...]
+    """Numbers of seen cells, ascending; each set of cells contains the smaller ones."""
+    demonstrations: int
+    """Demonstrations of each training, the same for all numbers of cells; divisible by each of them."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: When they do not ascend, or the demonstrations cannot be spread evenly.
+        """
+        if len(self.seen) < 2 or self.seen[0] < 1 or list(self.seen) != sorted(set(self.seen)):
+            raise ConfigError(f"seen: expected at least two ascending numbers of cells, got {list(self.seen)}")
+        odd = [number for number in self.seen if self.demonstrations % number or self.demonstrations < number]
+        if odd:
+            raise ConfigError(
+                f"demonstrations: {self.demonstrations} cannot be spread evenly over {odd[0]} cells; give a "
+                f"multiple of {math.lcm(*self.seen)}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
 class CompareConfig:
     """A comparison of two conditions, or of one condition in two groups of cells."""
 
@@ -271,6 +294,9 @@ class DecideConfig:
 class ExperimentConfig:
     """A YAML file of ``config/experiments``."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("combinations",)
+    """Later fields, see `roboxim_core.config.LEFT_OUT`: cards and stages without them keep their hashes."""
+
     about: str
     """The question, one sentence."""
     thesis: str = ""
@@ -290,14 +316,16 @@ class ExperimentConfig:
     """Keys of every task to replace; a null removes a key."""
     datasets: dict[str, DatasetConfig] = field(default_factory=dict)
     """Datasets by name."""
-    conditions: dict[str, ConditionConfig]
-    """Conditions by name."""
+    conditions: dict[str, ConditionConfig] = field(default_factory=dict)
+    """Conditions by name; at least one, unless ``combinations`` makes them."""
     trainers: dict[str, TrainerConfig] = field(default_factory=dict)
     """Trainers by name; the first one is the default."""
     evaluate: EvaluateConfig = EvaluateConfig()
     """Rollouts."""
     replicates: ReplicatesConfig = ReplicatesConfig()
     """Trainings of each condition."""
+    combinations: CombinationsConfig | None = None
+    """Transfer as a curve; it adds datasets, conditions and comparisons. None: the file states them."""
     curve: CurveConfig | None = None
     """Learning curve; none: only the last checkpoint is evaluated."""
     compare: tuple[CompareConfig, ...] = ()
@@ -323,102 +351,6 @@ class ExperimentConfig:
         return next(
             (name for name, c in self.conditions.items() if c.checkpoint_of == first and c.instruction == ""), ""
         )
-
-
-def experiment_config(
-    data: Any, *, source: str = "experiment", scale: str = FULL, trainers: Collection[str] = ()
-) -> ExperimentConfig:  # fmt: skip
-    """Build an experiment from plain data, at a scale.
-
-    Args:
-        data: As returned by `roboxim_core.config.parse_yaml`.
-        source: Name of the data's source, for messages.
-        scale: Name of one of the file's scales; ``full`` is the file without replaced keys unless the file redefines
-            it.
-        trainers: Further trainers that ``arguments`` may name, besides those of the file and of ``config/trainers``.
-
-    Raises:
-        ConfigError: When keys are wrong; names each with its path, its line and the allowed values.
-    """
-    config: ExperimentConfig = from_plain(data, ExperimentConfig, source=source)
-    _check(config, data, source, trainers)
-    names = scale_names(config)
-    if scale not in names:
-        raise ConfigError(f"{source} has no scale '{scale}'; {one_of(names, scale)}")
-    if scale not in config.scales:
-        return config
-    scaled = merged(data, {**config.scales[scale], "scales": None})
-    where = f"{source}, scale '{scale}'"
-    small: ExperimentConfig = from_plain(scaled, ExperimentConfig, source=where)
-    _check(small, scaled, where, trainers)
-    return replace(small, scales=config.scales)
-
-
-def scale_names(config: ExperimentConfig) -> tuple[str, ...]:
-    """Return the names of an experiment's scales, ``full`` last."""
-    return (*(name for name in config.scales if name != FULL), FULL)
-
-
-def _check(config: ExperimentConfig, data: Any, source: str, trainers: Collection[str]) -> None:
-    """Check that names refer to what the file defines.
-
-    Raises:
-        ConfigError: On the first one that does not; names its place.
-    """
-
-    def require(name: str, known: Iterable[str], *path: str | int) -> None:
-        names = tuple(known)
-        if name not in names:
-            raise ConfigError(f"{_at(source, data, path)}: unknown name '{name}'; {one_of(names, name)}")
-
-    for factor, levels in config.factors.items():
-        if not isinstance(levels, list | tuple | Mapping) or not levels:
-            raise ConfigError(
-                f"{_at(source, data, ('factors', factor))}: needs a list or a mapping of levels, not empty"
-            )
-        if not isinstance(levels, Mapping) and len(set(levels)) != len(levels):
-            raise ConfigError(f"{_at(source, data, ('factors', factor))}: a level appears twice")
-    if TASK not in config.factors:
-        raise ConfigError(f"{_at(source, data, ('factors',))}: needs the factor 'task', got {list(config.factors)}")
-    for key in ("unseen", "cells"):
-        for number, match in enumerate(getattr(config, key)):
-            _check_match(require, config, match, key, number)
-    for factor in config.dimensions:
-        require(factor, config.factors, "dimensions", factor)
-    for name, dataset in config.datasets.items():
-        for number, match in enumerate(dataset.only):
-            _check_match(require, config, match, "datasets", name, "only", number)
-    for name, condition in config.conditions.items():
-        if condition.train:
-            require(condition.train, config.datasets, "conditions", name, "train")
-        for trainer in condition.arguments:
-            known = dict.fromkeys((*config.trainers, *config_names(TRAINERS), *trainers))
-            require(trainer, known, "conditions", name, "arguments", trainer)
-        if condition.checkpoint_of:
-            trained = [other for other, c in config.conditions.items() if not c.checkpoint_of]
-            require(condition.checkpoint_of, trained, "conditions", name, "checkpoint_of")
-    for name in config.evaluate.cells:
-        require(name, config.conditions, "evaluate", "cells", name)
-    for number, compare in enumerate(config.compare):
-        require(compare.first, config.conditions, "compare", number, "first")
-        require(compare.second, config.conditions, "compare", number, "second")
-    if any(condition.train for condition in config.conditions.values()) and not config.trainers:
-        raise ConfigError(f"{_at(source, data, ('conditions',))}: conditions are trained, but there are no trainers")
-    for name, changes in config.scales.items():
-        for key in changes:
-            require(
-                key, ExperimentConfig.__dataclass_fields__.keys() - {"scales", "about", "thesis"}, "scales", name, key
-            )
-
-
-def _check_match(require: Any, config: ExperimentConfig, match: Match, *path: str | int) -> None:
-    for factor, level in match.items():
-        require(factor, config.factors, *path, factor)
-        require(level, tuple(config.factors[factor]), *path, factor)
-
-
-def _at(source: str, data: Any, path: tuple[str | int, ...]) -> str:
-    return f"{source} is not valid: {place(data, path)}"
 
 
 def _require_where(name: str, value: str) -> None:

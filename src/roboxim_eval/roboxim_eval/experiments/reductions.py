@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from roboxim_core.config import to_plain
+from roboxim_eval.experiments.combinations import names_of
 from roboxim_eval.experiments.config import ExperimentConfig
 
 WORDING = ("about", "thesis", "deviations", "scales")
@@ -44,6 +45,10 @@ def reductions(whole: ExperimentConfig, small: ExperimentConfig, trainer: str) -
 def _resolved(config: ExperimentConfig, trainer: str) -> dict[str, Any]:
     """Return the relevant keys with one trainer, and with zeros replaced by the values that they stand for."""
     plain = deciding(config)
+    for name in names_of(config.combinations):  # they follow from combinations, which is named itself
+        for part in (plain["datasets"], plain["conditions"], plain["evaluate"]["cells"]):
+            part.pop(name, None)
+        plain["compare"] = [one for one in plain["compare"] if name not in (one["first"], one["second"])]
     plain["trainers"] = {trainer: plain["trainers"][trainer]} if trainer in plain["trainers"] else {}
     evaluate = plain["evaluate"]
     evaluate["per_unseen_cell"] = evaluate["per_unseen_cell"] or evaluate["per_cell"]

@@ -13,8 +13,9 @@ from pathlib import PurePath
 from typing import Any
 
 from roboxim_eval.experiments.card import Card, CardVerdict
-from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
+from roboxim_eval.experiments.card_checks import card_curve, design_of_card, outcomes_of_card
 from roboxim_eval.experiments.cells import chosen
+from roboxim_eval.experiments.combinations import TransferCurve, name_of
 from roboxim_eval.experiments.cost import detectable_drop
 from roboxim_eval.experiments.design import Design
 from roboxim_eval.experiments.fresh import committed_text, public_text
@@ -80,7 +81,7 @@ def experiment_page(page: ExperimentPage) -> str:
     Raises:
         ConfigError: When the card lacks counts of a condition or a cell.
     """
-    card, design = page.card, design_of_card(page.card)
+    card, design, transfer = page.card, design_of_card(page.card), card_curve(page.card)
     arms = outcomes_of_card(card).arms
     names = list(arms)
     link: Link = episodes_link if page.episodes else no_link
@@ -104,6 +105,8 @@ def experiment_page(page: ExperimentPage) -> str:
         forests=_forests(card, design, arms, link),
         emphasised=_has_primary(card),
         curve=_curve(card, link if page.checkpoints else no_link),
+        combinations=transfer,
+        combinations_chart=_transfer_chart(transfer, link) if transfer else None,
         map=map_view(page.episodes, names, page.place),
         breakdowns=breakdowns(page.episodes, names, without=design.cells[0].levels),
         failures=[(name, failure_rows([e for e in page.episodes if e.arm == name], arm=name)) for name in names],
@@ -356,6 +359,13 @@ def _curve(card: Card, link: Link) -> Any:
         for name, found in points.items()
     }
     return learning_curve(curves, lambda *point: link(arm=checkpoint_arm(*point))) if curves else None
+
+
+def _transfer_chart(curve: TransferCurve, link: Link) -> Any:
+    points = [CurvePoint(steps=point.number, rates=point.rates) for point in curve.points]
+    return learning_curve(
+        {"held-out cells": points}, lambda _, number: link(arm=name_of(number)), axis="seen combinations"
+    )
 
 
 def primary_forest(card: Card, design: Design, arms: Mapping[str, Arm], link: Link) -> dict[str, Any] | None:

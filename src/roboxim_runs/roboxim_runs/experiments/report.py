@@ -17,7 +17,7 @@ from roboxim_core.plain_data.documents import read_json
 from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Design, ExperimentConfig, stages_of
 from roboxim_eval.experiments.card import Card, is_card
-from roboxim_eval.experiments.card_checks import check_card, design_of_card
+from roboxim_eval.experiments.card_checks import card_curve, check_card, design_of_card, plain_interval
 from roboxim_eval.experiments.cost import FILMS
 from roboxim_eval.experiments.spread import spread_data, spread_rows
 from roboxim_eval.film_options import FilmOptions
@@ -144,11 +144,33 @@ def report_data(card: Card, written: Sequence[Path]) -> str:
         {
             "experiment": card.experiment.name, "scale": card.experiment.scale, "sha256": card.sha256,
             "sentences": [*card.sentences, *card_warnings(card)], "scores": card.scores,
+            "combinations": combinations_data(card),
             "variance_components": spread_data(card), "deviations": list(card.experiment.deviations),
             "written": [str(path) for path in written],
         },
         indent=2,
     )  # fmt: skip
+
+
+def combinations_data(card: Card) -> list[dict[str, Any]] | None:
+    """Return transfer as a curve as plain data, a row for each number of cells; None: it has no combinations."""
+    curve = card_curve(card)
+    return None if curve is None else [
+        {"seen": p.number, "success": plain_interval(p.rate), "trainings": list(p.rates)} for p in curve.points
+    ]  # fmt: skip
+
+
+def curve_lines(card: Card) -> list[str]:
+    """Return transfer as a curve in sentences and a line for each number of cells; empty: it has no combinations."""
+    curve = card_curve(card)
+    if curve is None:
+        return []
+    rows = [
+        f"{point.number:>3} combinations  {100 * point.rate.value:.0f} % ({100 * point.rate.low:.0f} to "
+        f"{100 * point.rate.high:.0f}) in held-out cells"
+        for point in curve.points
+    ]
+    return [*curve.sentences, *rows]
 
 
 def spread_lines(card: Card) -> list[str]:

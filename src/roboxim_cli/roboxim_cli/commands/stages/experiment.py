@@ -256,6 +256,7 @@ def report(
         ExperimentFolder,
         card_page,
         card_warnings,
+        curve_lines,
         folder_card,
         spread_lines,
         stored_card,
@@ -289,7 +290,7 @@ def report(
         click.echo(report_data(found, [one for one in (page, *pages, markdown) if one is not None]))
         return
     click.echo(f"{found.experiment.name}, scale {found.experiment.scale}")
-    for sentence in (*found.sentences, *card_warnings(found)):
+    for sentence in (*found.sentences, *card_warnings(found), *curve_lines(found)):
         click.echo(f"  {sentence}")
     scores = dict(found.scores or {})
     refused = scores.pop("relative_refused", "")

@@ -1,4 +1,4 @@
-"""Learning curves: the success rate over training steps, a line for each condition with a band over its replicates."""
+"""Curves: the success rate over training steps or another number, a line for each condition, a band over replicates."""
 
 from __future__ import annotations
 
@@ -19,22 +19,24 @@ COLOURS = 6
 
 @dataclass(frozen=True, kw_only=True)
 class CurvePoint:
-    """Rates of a condition's replicates at a number of training steps."""
+    """Rates of a condition's replicates at a place on the axis."""
 
     steps: int
-    """Training steps."""
+    """Training steps, or the number on the axis."""
     rates: tuple[float, ...]
     """Success rate of each replicate, 0..1."""
 
 
 def learning_curve(
-    curves: Mapping[str, Sequence[CurvePoint]], link: Callable[[str, int], str] = lambda *_: ""
+    curves: Mapping[str, Sequence[CurvePoint]], link: Callable[[str, int], str] = lambda *_: "",
+    axis: str = "training steps",
 ) -> Markup:  # fmt: skip
     """Return the picture. The band reaches from the worst to the best replicate, the line is their mean.
 
     Args:
         curves: Condition to its points, by increasing steps.
         link: (condition, steps) to the point's link; empty: no link.
+        axis: What the steps are.
     """
     max_steps = max(point.steps for points in curves.values() for point in points)
 
@@ -55,7 +57,7 @@ def learning_curve(
             element("text", _steps(steps), x=x(steps), y=HEIGHT - BOTTOM + 16, text_anchor="middle", class_="axis")
         )
     middle = (LEFT + WIDTH - RIGHT) / 2
-    parts.append(element("text", "training steps", x=middle, y=HEIGHT - 6, text_anchor="middle", class_="axis"))
+    parts.append(element("text", axis, x=middle, y=HEIGHT - 6, text_anchor="middle", class_="axis"))
     taken: list[float] = []
     for number, (name, points) in enumerate(curves.items()):
         colour = f"c{number % COLOURS}"
@@ -74,7 +76,7 @@ def learning_curve(
         parts,
         width=WIDTH,
         height=HEIGHT,
-        label="Learning curve: success rate over training steps",
+        label=f"Success rate over {axis}",
         class_="chart curve",
     )
 
