@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -50,13 +52,38 @@ def head_of(data: bytes) -> PictureHead:
     return PictureHead(size=ImageSize(height=height, width=width), deep=mode.startswith(_WIDE))
 
 
-def colour_picture(data: bytes) -> RGBImage:
-    """Decode a picture of 8 bits a channel to RGB.
+def _head_of_size(data: bytes, expected: ImageSize | None) -> PictureHead:
+    head = head_of(data)
+    if expected is not None and expected != head.size:
+        found, wanted = (f"{size.width} x {size.height}" for size in (head.size, expected))
+        raise _bad(f"a picture has the size {found}, expected {wanted}")
+    return head
+
+
+def decoded(decode: Callable[[bytes, ImageSize], Any], data: bytes, expected: ImageSize, where: str) -> Any:
+    """Decode a picture by `colour_picture` or `deep_picture`; an error says where it is.
 
     Raises:
-        RecorderError: With code ``BAG_DAMAGED`` when it is no picture, too large, or has more than 8 bits a channel.
+        RecorderError: As theirs.
     """
-    if head_of(data).deep:
+    try:
+        return decode(data, expected)
+    except RecorderError as error:
+        raise _bad(f"{where}: {error}") from None
+
+
+def colour_picture(data: bytes, expected: ImageSize | None = None) -> RGBImage:
+    """Decode a picture of 8 bits a channel to RGB.
+
+    Args:
+        data: The encoded picture.
+        expected: Its size, which is checked before memory is taken; None: any.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when it is no picture, too large, of another size, or has more than 8
+            bits a channel.
+    """
+    if _head_of_size(data, expected).deep:
         raise _bad("a picture of 16 bits a channel, expected a colour image of 8")
     try:
         return decode_image(data)
@@ -64,15 +91,19 @@ def colour_picture(data: bytes) -> RGBImage:
         raise _bad(str(error)) from None
 
 
-def deep_picture(data: bytes) -> np.ndarray[tuple[int, ...], np.dtype[np.uint16]]:
+def deep_picture(data: bytes, expected: ImageSize) -> np.ndarray[tuple[int, ...], np.dtype[np.uint16]]:
     """Decode a picture of one channel of 16 bits, shape (height, width).
 
+    Args:
+        data: The encoded picture.
+        expected: Its size, which is checked before memory is taken.
+
     Raises:
-        RecorderError: With code ``BAG_DAMAGED`` when it is no such picture, or too large.
+        RecorderError: With code ``BAG_DAMAGED`` when it is no such picture, or of another size.
     """
     import cv2
 
-    head_of(data)
+    _head_of_size(data, expected)
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if picture is None or picture.ndim != 2:
         raise _bad("an image of depth or segmentation is damaged")

@@ -41,7 +41,7 @@ from roboxim_datasets.lerobot.layout import (
 )
 from roboxim_datasets.lerobot.parquet_file import open_parquet
 from roboxim_datasets.lerobot.tables import Place, Rows, damaged
-from roboxim_datasets.pictures import MOST_PIXELS, colour_picture, deep_picture, head_of
+from roboxim_datasets.pictures import MOST_PIXELS, colour_picture, decoded, deep_picture, head_of
 from roboxim_datasets.video.client import VideoDecoder
 from roboxim_datasets.video.codecs import CODECS
 
@@ -436,14 +436,19 @@ class LeRobotDataset(Dataset):
         videos = {camera: self._frames(place, key) for camera, key in keys.items() if camera not in stored}
         texts = self._texts(place)
         several, subtasks = len(set(texts)) > 1, self._subtasks_of(place)
-        unit = self.depth_unit_m or DEPTH_UNIT_M
+        unit, deep, sizes = self.depth_unit_m or DEPTH_UNIT_M, [*depth.items(), *masks.items()], self.features.cameras
         for step in range(place.length):
             read = {key: self._image_bytes(cells(table, key, step, where)) for key in encoded}
             images: dict[str, RGBImage] = {camera: next(frames) for camera, frames in videos.items()}
             with reading(f"{where}, step {step}"):
-                images |= {camera: colour_picture(read[key]) for camera, key in stored.items()}
-                maps = {key: deep_picture(read[key]) for key in (*depth.values(), *masks.values())}
-                self._require_sizes(depth, maps, f"{where}, step {step}")
+                images |= {
+                    camera: decoded(colour_picture, read[key], sizes[camera], f"{where}, step {step}, '{key}'")
+                    for camera, key in stored.items()
+                }
+                maps = {
+                    key: decoded(deep_picture, read[key], sizes[camera], f"{where}, step {step}, '{key}'")
+                    for camera, key in deep
+                }
             yield Step(
                 index=step,
                 images={camera: images[camera] for camera in keys},
@@ -461,15 +466,6 @@ class LeRobotDataset(Dataset):
         for frames in videos.values():  # ends the decoding; a broken file says so
             next(frames, None)
 
-    def _require_sizes(self, depth: Mapping[str, str], maps: Mapping[str, Any], where: str) -> None:
-        """Refuse depth images of another size than their camera's; `depth` maps camera to column."""
-        for camera, key in depth.items():
-            size = self.features.cameras[camera]
-            if maps[key].shape != (size.height, size.width):
-                raise damaged(
-                    f"{where}: '{key}' has the shape {maps[key].shape}, expected ({size.height}, {size.width})"
-                )
-
     def _number_columns(self) -> tuple[str, ...]:
         """Return the columns of numbers that steps consist of."""
         content = self.content
@@ -477,7 +473,9 @@ class LeRobotDataset(Dataset):
 
     def _frames(self, place: Place, key: str) -> Iterator[RGBImage]:
         file, first = place.videos[key]
-        return self._decoder.frames(file_in(self.path, file), rate=self._fps, first=first, count=place.length)
+        size = _size(self._shape(key))
+        sizes = {"height": size.height, "width": size.width}
+        return self._decoder.frames(file_in(self.path, file), rate=self._fps, first=first, count=place.length, **sizes)
 
     def _image_bytes(self, cell: Mapping[str, Any]) -> bytes:
         if cell.get("bytes"):

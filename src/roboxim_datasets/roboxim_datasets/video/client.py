@@ -241,7 +241,9 @@ class VideoDecoder:
         self._lock, self._numbers = threading.Lock(), itertools.count(1)
         weakref.finalize(self, _end, self._running)  # also at the interpreter's exit, while modules still exist
 
-    def frames(self, path: Path, *, rate: Fraction, first: int, count: int) -> Iterator[RGBImage]:
+    def frames(
+        self, path: Path, *, rate: Fraction, first: int, count: int, height: int = 0, width: int = 0
+    ) -> Iterator[RGBImage]:
         """Yield ``count`` RGB frames from frame ``first``, uint8, shape (height, width, 3).
 
         Args:
@@ -249,13 +251,16 @@ class VideoDecoder:
             rate: Frames per second of the dataset; frame k is at k / rate.
             first: Number of the first frame.
             count: Number of frames.
+            height: Expected height of the frames [px]; 0: any.
+            width: Expected width of the frames [px]; 0: any.
 
         Raises:
-            RecorderError: With code ``BAG_DAMAGED`` when the file cannot be read or has too few frames.
+            RecorderError: With code ``BAG_DAMAGED`` when the file cannot be read, has too few frames, or frames of
+                another size, which are not decoded.
         """
         number = next(self._numbers)
         self._ask({"op": "start", "video": number, "path": str(path), "rate": str(rate), "first": first,
-                   "count": count})  # fmt: skip
+                   "count": count, "height": height, "width": width})  # fmt: skip
         try:
             left = count
             while left:

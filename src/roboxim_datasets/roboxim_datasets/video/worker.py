@@ -12,10 +12,11 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import struct
 import sys
 from collections.abc import Iterator
 from fractions import Fraction
-from typing import Any
+from typing import Any, BinaryIO
 
 import av
 import numpy as np
@@ -27,6 +28,8 @@ from roboxim_datasets.video.messages import Header, read_message, write_message
 
 _MP4 = {"fflags": "+bitexact"}  # without the version of the library
 _MOST_PIXELS = 2**26
+_PADDING = 128  # codecs round sizes up to whole blocks
+_STREAMS = 8
 _DEEP = ("gray9", "gray1")  # FFmpeg's names of grey frames of more than 8 bits
 _BT601, _LIMITED = 6, 1  # FFmpeg's numbers of the matrix and range that its RGB conversion uses
 
@@ -71,13 +74,58 @@ class Encoding:
             self._container.mux(packet)
 
 
+def opened(path: str, most_pixels: int = _MOST_PIXELS) -> Any:
+    """Open an MP4 file; no other format, since some of FFmpeg's (playlists, concat) open further files.
+
+    Args:
+        path: The file.
+        most_pixels: Largest number of pixels of a frame, for which FFmpeg takes memory.
+
+    Raises:
+        ValueError: When it has more frames than bytes.
+    """
+    with open(path, "rb") as file:
+        _require_frames(file, 0, os.fstat(file.fileno()).st_size)
+    bound: Any = [{"max_pixels": str(most_pixels)}] * _STREAMS
+    return av.open(path, format="mp4", stream_options=bound)
+
+
+def _require_frames(file: BinaryIO, start: int, end: int) -> None:
+    """Refuse a table of frames of equal sizes that are more than the file's bytes: FFmpeg takes 75 bytes for each.
+
+    It bounds other tables itself. Source: ISO/IEC 14496-12, 8.7.3 (sample size box).
+    """
+    while start + 16 <= end:
+        file.seek(start)
+        size, kind = struct.unpack(">I4s", file.read(8))
+        head = 8
+        if size == 1:
+            (size,), head = struct.unpack(">Q", file.read(8)), 16
+        size = size or end - start
+        if kind in (b"moov", b"trak", b"mdia", b"minf", b"stbl"):
+            _require_frames(file, start + head, min(start + size, end))
+        elif kind == b"stsz" and head + 12 <= size:
+            file.seek(start + head + 4)
+            each, count = struct.unpack(">II", file.read(8))
+            if each * count > (held := os.fstat(file.fileno()).st_size):
+                raise ValueError(f"{count} frames of {each} bytes are declared, the file has {held} bytes")
+        start += max(size, head)
+
+
 class Decoding:
     """Frames of a video, in order from a given one."""
 
-    def __init__(self, path: str, *, rate: Fraction, first: int, count: int) -> None:
-        self._container = av.open(path)
+    def __init__(self, path: str, *, rate: Fraction, first: int, count: int, height: int = 0, width: int = 0) -> None:
+        most = (height + _PADDING) * (width + _PADDING) if height and width else _MOST_PIXELS
+        self._container = opened(path, most)
+        if not self._container.streams.video:
+            raise ValueError("no video in the file")
         self._video: Any = self._container.streams.video[0]
         codec = self._video.codec_context
+        codec.options = {"max_pixels": str(most)}
+        if height and (codec.height, codec.width) != (height, width):
+            found = f"{codec.width} x {codec.height} pixels" if codec.width else f"more than {most} pixels"
+            raise ValueError(f"frames of {found}, expected {width} x {height}")
         if codec.width * codec.height > _MOST_PIXELS:
             raise ValueError(f"frames of {codec.width} x {codec.height} pixels; at most {_MOST_PIXELS} are read")
         if str(codec.pix_fmt).startswith(_DEEP):
@@ -145,7 +193,7 @@ def join(pieces: list[str], path: str, rate: Fraction) -> Header:
 
 def probe(path: str) -> Header:
     """Return the properties of a video."""
-    with av.open(path) as source:
+    with opened(path) as source:
         video = source.streams.video[0]
         return {
             "codec": video.codec_context.name,

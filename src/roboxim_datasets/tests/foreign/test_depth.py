@@ -88,7 +88,9 @@ def test_a_depth_image_of_another_size_is_damage(tmp_path: Path) -> None:
     cells[-1] = {"bytes": png(millimetres(0, 2 * SIDE)), "path": None}
     at = table.column_names.index(TOP)
     pq.write_table(table.set_column(at, TOP, pa.array(cells, table.schema.field(TOP).type)), folder / DATA)
-    with pytest.raises(RecorderError, match=rf"episode 2, step 3.*'{TOP}' has the shape \(16, 16\)"):
+    with pytest.raises(
+        RecorderError, match=rf"episode 2, step 3, '{TOP}': a picture has the size 16 x 16, expected 8 x 8"
+    ):
         depths(open_dataset(folder, depth_unit_m=UNIT_M))
 
 

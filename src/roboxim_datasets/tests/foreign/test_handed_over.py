@@ -149,7 +149,7 @@ LEROBOT_CASES: dict[str, tuple[dict[str, Any], Callable[[Path], None], str, tupl
     "no splits": ({"splits": {}}, lambda _: None, "hdf5", (f"{EPISODES} train",)),
     "no steps": ({}, _no_steps, "hdf5", ("1", f"{EPISODES - 1} train")),
     "no image": ({}, _column(CAMERA, STEPS, None), "hdf5", ("refused", "no image at step 0")),
-    "image size": ({}, _column(CAMERA, STEPS, _picture(2 * SIDE)), "hdf5", ("refused", "shape (16, 16, 3)")),
+    "image size": ({}, _column(CAMERA, STEPS, _picture(2 * SIDE)), "hdf5", ("refused", "size 16 x 16")),
     "null state": ({}, _column("observation.state", STEPS, None), "hdf5", ("refused", "is empty (null) at step 0")),
     "one action": ({}, _scalar_action, "hdf5", ("refused", "action")),
 }
