@@ -90,7 +90,7 @@ def test_planted_policies_give_their_curve():
         assert point.rate.low <= rate <= point.rate.high
     assert curve.fewer == (4,)
     assert curve.enough == 6
-    assert curve.per_doubling.low > 0
+    assert curve.change.low > 0
     page = experiment_page(ExperimentPage(card=card))
     assert "6 combinations are shown to be enough: as good as 10 within the margin." in page
     assert "seen combinations</text>" in page
@@ -101,7 +101,7 @@ def test_equal_policies_have_no_trend():
     card = planted_card(design_of(experiment_of(TEXT)), lambda *_: 0.5, spread=0.05, seed=3)
     curve = card_curve(card)
     assert curve.fewer == ()
-    assert curve.per_doubling.low < 0 < curve.per_doubling.high
+    assert curve.change.low < 0 < curve.change.high
 
 
 def test_a_trend_of_one_training_has_no_interval():

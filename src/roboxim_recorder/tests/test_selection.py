@@ -44,8 +44,16 @@ def test_per_cell_counts_after_all_filters(run):
     found = chosen(run, per_cell=2, where=("index!=0",))
     assert indices(found) == {"train": [2, 4, 5, 6]}
     assert found.left_out == {"not index!=0": 1, "recovered": 1, "not_lifted": 1, "more than per_cell": 1}
-    with pytest.raises(RecorderError, match=r"fewer episodes after all filters: A: 3, B: 3$"):
+    with pytest.raises(RecorderError, match=r"fewer episodes after all filters: A: 3 of 4, B: 3 of 4$"):
         chosen(run, per_cell=4)
+
+
+def test_cells_may_have_their_own_numbers(run):
+    assert chosen(run, per_cell=1, cell_counts={"A": 2}).cells == {"train": {"A": 2, "B": 1}}
+    with pytest.raises(RecorderError, match=r"after all filters: A: 3 of 5$"):
+        chosen(run, per_cell=1, cell_counts={"A": 5})
+    with pytest.raises(InvalidRequestError, match="need per_cell"):
+        Selection(cell_counts={"a": 2})
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,8 @@ class Fakes:
     def export_dataset(self, form, source, target, config, **_):
         self.exports[Path(target).name] = form, config
         (cells,) = config.where
-        number = config.per_cell * (cells.count(",") + 1)
+        names = cells.removeprefix("cell=").split(",")
+        number = sum(config.cell_counts.get(name, config.per_cell) for name in names)
         self.calls.append(f"export {Path(target).name} {number}")
         assert config.val_fraction == 0.0
         Path(target).mkdir(parents=True)

@@ -183,8 +183,9 @@ class TransferCurve:
 
     points: tuple[TransferPoint, ...]
     """By increasing number."""
-    per_doubling: Interval
-    """Change of the success rate for each doubling of the number of cells; unbounded for one training."""
+    change: Interval
+    """Change of the success rate from the smallest to the largest number, of a straight line over the logarithm of the
+    number; unbounded for one training."""
     enough: int | None
     """Smallest number from which on all are shown to be as good as the largest one; none: none is."""
     fewer: tuple[int, ...]
@@ -194,13 +195,13 @@ class TransferCurve:
     def sentences(self) -> Iterator[str]:
         """The curve in words."""
         first, last = self.points[0].number, self.points[-1].number
-        gain = self.per_doubling
         bounds = "no interval from one training"
-        if math.isfinite(gain.low):
-            bounds = f"{100 * gain.low:+.0f} to {100 * gain.high:+.0f}"
+        if math.isfinite(self.change.low):
+            bounds = f"{100 * self.change.low:+.0f} to {100 * self.change.high:+.0f}"
         yield (
-            f"From {first} to {last} combinations, each doubling of their number changes the success in held-out ones "
-            f"by {100 * gain.value:+.0f} points ({bounds}), at equal numbers of demonstrations."
+            f"From {first} to {last} combinations, the success in held-out ones changes by "
+            f"{100 * self.change.value:+.0f} points ({bounds}; a straight line over the logarithm of their number), at "
+            "equal numbers of demonstrations."
         )
         if self.enough is not None:
             yield f"{self.enough} combinations are shown to be enough: as good as {last} within the margin."
@@ -233,8 +234,9 @@ def transfer_curve(
     smaller = combinations.seen[:-1]
     good = [kinds.get(name_of(number)) == "as_good" for number in smaller]
     enough = next((number for place, number in enumerate(smaller) if all(good[place:])), None)
+    places = [math.log(number) for number in combinations.seen]
     return TransferCurve(
-        points=points, per_doubling=trend([math.log2(number) for number in combinations.seen], mine), enough=enough,
+        points=points, change=trend([(x - places[0]) / (places[-1] - places[0]) for x in places], mine), enough=enough,
         fewer=tuple(number for number in smaller if kinds.get(name_of(number)) == "lower"),
     )  # fmt: skip
 

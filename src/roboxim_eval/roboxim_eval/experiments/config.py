@@ -33,13 +33,15 @@ Match = Mapping[str, str]
 class DatasetConfig:
     """Demonstrations of a training condition."""
 
-    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("export",)
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("export", "more")
     """Later fields, see `roboxim_core.config.LEFT_OUT`: cards and stages without them keep their hashes."""
 
     cells: str = "all"
     """``all``, ``seen`` (not held out) or ``unseen``."""
     per_cell: int
     """Demonstrations of each cell. Datasets with a cell in common have its first demonstrations in common."""
+    more: dict[str, int] = field(default_factory=dict)
+    """Cell, e.g. ``pick_up target=apple``, to demonstrations beyond ``per_cell``: the next ones of the cell."""
     only: tuple[dict[str, str], ...] = ()
     """Selection among those cells: a cell must match all factors of one of these; empty: all of them."""
     fault: str = ""
@@ -59,6 +61,8 @@ class DatasetConfig:
         _require_where("cells", self.cells)
         if not 1 <= self.per_cell <= limits.MIX_EPISODES:
             raise ConfigError(f"per_cell must be from 1 to {limits.MIX_EPISODES}, got {self.per_cell}")
+        if self.more and min(self.more.values()) < 0:
+            raise ConfigError(f"more: numbers of demonstrations must be at least 0, got {self.more}")
         if not 0.0 <= self.share <= 1.0 or bool(self.fault) != bool(self.share):
             raise ConfigError(f"share must be from 0 to 1, and above 0 with a fault alone; got {self.share:g}")
         if FORMAT in self.export:

@@ -193,7 +193,11 @@ def _counts(cells: tuple[Cell, ...], name: str, dataset: DatasetConfig) -> dict[
     mine = chosen(cells, dataset.cells, dataset.only)
     if not mine:
         raise ConfigError(f"datasets.{name}: no cell is '{dataset.cells}' and matches 'only'")
-    return {cell.key: dataset.per_cell for cell in mine}
+    keys = [cell.key for cell in mine]
+    for key in dataset.more:
+        if key not in keys:
+            raise ConfigError(f"datasets.{name}.more: no cell '{key}' in this dataset; {one_of(keys, key)}")
+    return {key: dataset.per_cell + dataset.more.get(key, 0) for key in keys}
 
 
 def _trainings(config: ExperimentConfig, trainer: TrainerConfig, trainer_name: str) -> Iterator[Training]:

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
@@ -27,6 +28,9 @@ class Selection:
     Filters apply in the order of the fields ``only_successful``, ``keep_recovered``, ``where``, ``per_cell``,
     ``split``, ``shard``.
     """
+
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("cell_counts",)
+    """Later fields, see `roboxim_core.config.LEFT_OUT`: datasets without them keep their identity."""
 
     cameras: dict[str, str] = field(default_factory=dict)
     """Camera to image key; empty: every camera, ``workspace`` as ``image`` and ``wrist`` as ``wrist_image``."""
@@ -59,6 +63,8 @@ class Selection:
     per_cell: int = 0
     """Number of episodes of each cell, the first ones that pass the filters; 0: all. A cell is that of the task's mix,
     else the skill."""
+    cell_counts: dict[str, int] = field(default_factory=dict)
+    """Cell to its own number of episodes, instead of ``per_cell``."""
     uneven: bool = False
     """Whether cells of a mix may have different numbers of episodes; otherwise such an export is refused."""
     shard: str = ""
@@ -96,6 +102,11 @@ class Selection:
             )
         if self.per_cell < 0:
             raise InvalidRequestError(f"per_cell must be at least 0, got {self.per_cell}")
+        if self.cell_counts and (min(self.cell_counts.values()) < 1 or not self.per_cell):
+            raise InvalidRequestError(
+                f"cell_counts are at least 1, and need per_cell for the other cells; got {self.cell_counts} and "
+                f"{self.per_cell}"
+            )
         if self.rate_hz < 0:
             raise InvalidRequestError(f"rate_hz must be at least 0, got {self.rate_hz}")
         Choice.parse(self.where)
@@ -244,17 +255,18 @@ def _per_cell(sources: list[Source], selection: Selection, left_out: Counter[str
                 f"(--per-cell {min(counts.values())}), record more, or export them all (--uneven)"
             )
         return sources
-    short = {cell: count for cell, count in sorted(counts.items()) if count < selection.per_cell}
+    wanted = {cell: selection.cell_counts.get(cell, selection.per_cell) for cell in counts}
+    short = {cell: count for cell, count in sorted(counts.items()) if count < wanted[cell]}
     if short:
         raise _refused(
             f"per_cell is {selection.per_cell}, but these cells have fewer episodes after all filters: "
-            + ", ".join(f"{cell}: {count}" for cell, count in short.items())
+            + ", ".join(f"{cell}: {count} of {wanted[cell]}" for cell, count in short.items())
         )
     taken: Counter[str] = Counter()
     kept = []
     for source in sources:
         taken[source.cell] += 1
-        if taken[source.cell] <= selection.per_cell:
+        if taken[source.cell] <= wanted[source.cell]:
             kept.append(source)
         else:
             left_out["more than per_cell"] += 1

@@ -297,6 +297,14 @@ def test_datasets_may_differ_in_what_their_actions_mean(fakes, config, experimen
     assert result.missing == ()
 
 
+def test_cells_of_a_dataset_may_have_demonstrations_of_their_own_number(fakes, config, experiment):
+    more = "per_cell: 3, more: {pick_up target=soda_can: 4}}"
+    run_experiment(config(experiment.replace("per_cell: 3}", more), only=("generate", "export")))
+    assert "export leave_out.0 10" in fakes.calls
+    assert "generate 14" in fakes.calls
+    assert fakes.exports["leave_out.0"][1].cell_counts == {"place_on target=cube": 3}
+
+
 def test_a_card_is_checked_against_its_counts(fakes, config, tmp_path):
     run_experiment(config())
     card = json.loads((tmp_path / "out/card.json").read_text())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.commands.stages import _experiment_calibrate, _experiment_rotate
+from roboxim_cli.commands.stages import _experiment_calibrate, _experiment_collect, _experiment_rotate
 from roboxim_cli.named import Named
 from roboxim_cli.options import experiment_options, experiment_run, option
 from roboxim_core.whole_files import write_whole
@@ -387,6 +387,7 @@ def unpack_run(file: Path, out: Path) -> None:
 
 
 command.add_command(_experiment_calibrate.command)
+command.add_command(_experiment_collect.collect)
 command.add_command(_experiment_rotate.rotate)
 command.add_command(_experiment_rotate.join)
 

@@ -66,8 +66,8 @@ def is_given(context: click.Context, name: str) -> bool:
     return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
 
 
-OWN = ("cameras", "image_width", "image_height", "split", "only_successful", "rate_hz")
-"""Fields of a selection that options set in another form."""
+OWN = ("cameras", "image_width", "image_height", "split", "only_successful", "rate_hz", "cell_counts")
+"""Fields of a selection that options set in another form, or that experiments alone set."""
 
 
 def _common() -> list[click.Parameter]:

@@ -19,8 +19,8 @@ from roboxim_recorder.export import EXPORTERS, Selection
 from roboxim_recorder.export.convention_file import CONVENTION_FILE
 
 OURS = (
-    "val_fraction", "split", "only_successful", "keep_recovered", "where", "per_cell", "uneven", "shard",
-    "skip_missing",
+    "val_fraction", "split", "only_successful", "keep_recovered", "where", "per_cell", "cell_counts", "uneven",
+    "shard", "skip_missing",
 )  # fmt: skip
 """Options of an export that the experiment decides."""
 
