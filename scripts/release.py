@@ -7,8 +7,8 @@
 - `constraints.txt`: the exact versions that the tests run with.
 
 For each Python an empty environment outside of the checkout then installs the wheels, without a compiler, first
-without extras and then with `learn` and `lerobot`, and runs what a user would: `roboxim doctor`, the smoke demo, an
-example of the Python interface, and a graph with a service call. `dist/release.json` has times and sizes.
+without extras and then with `learn` and `lerobot`, and runs what a user would: `roboxim doctor`, `uvx roboxim`, the
+smoke demo, an example of the Python interface, and a graph with a service call. `dist/release.json` has times and sizes.
 
 The wheels hold no library of ROS: those of the ROS wheels are found when the wheel is used (`ros-wheels-bootstrapper`).
 """
@@ -176,6 +176,11 @@ def try_out(version: str) -> dict[str, Any]:
         install("install_s", "roboxim")
         record["base_mb"] = round(size_of(venv) / 1e6)
         do("doctor_s", "roboxim", "doctor")
+        do(
+            "tool_run_s",
+            *(UV, "tool", "run", "--python", interpreter(version), "--find-links", DIST),
+            *("--constraints", DIST / "constraints.txt", "roboxim", "--version"),
+        )
         do("generate_s", "roboxim", "generate", "--episodes", "1", "--size", "64", "--out", "one")
         refused = subprocess.run(
             ["roboxim", "train", "bc", "none", "--out", "bc"], cwd=home, env=settings, capture_output=True, text=True

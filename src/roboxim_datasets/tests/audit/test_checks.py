@@ -276,6 +276,32 @@ def test_a_camera_may_repeat_its_image_while_the_arm_rests() -> None:
     assert found("frozen_camera", audited.episode(images=still)) == ("e0",)
 
 
+def plain(film: list[np.ndarray], ticks: slice, brightness: float) -> list[np.ndarray]:
+    """Return a film that shows, at some ticks, a surface without texture, with a little shading."""
+    shading = np.linspace(-1.5, 1.5, film[0].shape[1])[None, :, None]
+    surface = np.broadcast_to(brightness + shading, film[0].shape).round().astype(np.uint8)
+    return [surface if k in range(*ticks.indices(len(film))) else image for k, image in enumerate(film)]
+
+
+def test_a_camera_close_to_a_plain_surface_is_neither_blank_nor_frozen() -> None:
+    for ticks, faulty in ((slice(20, 36), False), (slice(0, 60), True)):
+        films = audited.arrays(0)["images"]
+        images = {**films, "wrist": plain(films["wrist"], ticks, 215.0)}
+        assert bool(found("blank_camera", audited.episode(images=images))) is faulty
+        assert not found("frozen_camera", audited.episode(images=images))
+
+
+def test_an_image_of_one_value_is_blank() -> None:
+    films = audited.arrays(0)["images"]
+    images = {**films, "wrist": [film * 0 if k == 7 else film for k, film in enumerate(films["wrist"])]}
+    assert found("blank_camera", audited.episode(images=images)) == ("e0",)
+
+
+def test_a_lag_is_not_told_from_a_few_ticks() -> None:
+    assert "too short" in unchecked("state_lag", audited.episode(3, **audited.arrays(3, 20)))
+    assert not found("state_lag", audited.episode(3, **audited.arrays(3, 26)))
+
+
 @pytest.mark.parametrize("lag", [-2, 1, 3])
 def test_lags_of_the_state_are_measured(lag: int) -> None:
     films = audited.arrays(3)["images"]

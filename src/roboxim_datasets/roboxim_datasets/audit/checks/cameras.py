@@ -14,6 +14,9 @@ EQUAL = 3.0
 EQUAL_FRAMES = 3
 MOVED_M = 0.005
 BLANK = 2.0
+CONSTANT = 0.5
+PLAIN = 4.0
+"""Standard deviation of the brightness below which an image cannot show that a camera stands still."""
 
 
 @AUDIT_CHECKS.register("frozen_camera")
@@ -24,7 +27,8 @@ class FrozenCamera(AuditCheck):
     reason = "The images belong to other ticks than the actions: the policy learns to act on what was."
     threshold = (
         f"{EQUAL_FRAMES} or more images in a row of which no cell (1/32 of a side) changes by more than {EQUAL:g} of "
-        f"255, while the hand moves by more than {1000 * MOVED_M:g} mm; a camera at half the control rate passes"
+        f"255, while the hand moves by more than {1000 * MOVED_M:g} mm; a camera at half the control rate passes, and "
+        f"one that shows nothing but a plain surface (a standard deviation of the brightness below {PLAIN:g})"
     )
     needs = "images, and the position of the hand or a second camera"
     order = 14
@@ -35,9 +39,10 @@ class FrozenCamera(AuditCheck):
             raise CannotCheckError("the dataset has no images")
         for camera, track in episode.tracks.items():
             moved = _moved(episode, camera)
-            start, length = longest_run(track.change < EQUAL)
+            plain = track.deviation < PLAIN
+            change = (track.change < EQUAL) & ~(plain[1:] & plain[:-1])
+            start, length = longest_run(change)
             runs = []
-            change = track.change < EQUAL
             while length + 1 >= EQUAL_FRAMES:
                 if moved[start : start + length].sum() > MOVED_M:
                     runs.append((start, length + 1))
@@ -71,7 +76,10 @@ class BlankCamera(AuditCheck):
 
     title = "A camera shows nothing"
     reason = "A policy cannot learn from an image without content, and its features get used to it."
-    threshold = f"a standard deviation of the brightness below {BLANK:g} of 255 in any image"
+    threshold = (
+        f"a standard deviation of the brightness below {CONSTANT:g} of 255 in any image, or below {BLANK:g} in half of "
+        "them; a wrist camera close to a plain surface passes"
+    )
     needs = "images"
     order = 15
 
@@ -81,6 +89,8 @@ class BlankCamera(AuditCheck):
             raise CannotCheckError("the dataset has no images")
         for camera, track in episode.tracks.items():
             blank = np.flatnonzero(track.deviation < BLANK)
+            if 2 * len(blank) < len(track.deviation):
+                blank = np.flatnonzero(track.deviation < CONSTANT)
             if len(blank):
                 yield Finding(
                     text=f"{camera}: {len(blank)} of {len(track.deviation)} images are blank, the first at tick "
