@@ -8,7 +8,8 @@
 
 For each Python an empty environment outside of the checkout then installs the wheels, without a compiler, first
 without extras and then with `learn` and `lerobot`, and runs what a user would: `roboxim doctor`, `uvx roboxim`, the
-smoke demo, an example of the Python interface, and a graph with a service call. `dist/release.json` has times and sizes.
+smoke demo, an example of the Python interface, and a graph with a service call. `dist/release.json` has times and
+sizes.
 
 The wheels hold no library of ROS: those of the ROS wheels are found when the wheel is used (`ros-wheels-bootstrapper`).
 """
