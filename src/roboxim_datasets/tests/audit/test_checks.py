@@ -362,6 +362,27 @@ def test_labels_are_what_was_executed_where_no_noise_was_injected() -> None:
     assert not found("labels", clean)
 
 
+def test_noise_of_two_ticks_moves_position_and_rotation() -> None:
+    labels = audited.arrays(0)["actions"].copy()
+    labels[20:22, 0] += (0.003, -0.004)
+    assert found("labels", relabelled(audited.episode(), labels)) == ("e0",)
+    labels[20:22, 4] += (-0.02, 0.015)
+    assert not found("labels", relabelled(audited.episode(), labels))
+
+
+def test_an_arm_that_a_contact_pushes_aside_for_a_tick_is_a_warning() -> None:
+    others = [audited.episode(seed) for seed in range(1, 12)]
+    for push, faulty in ((0.003, ()), (0.02, ("e0",))):
+        place = audited.arrays(0)["tcp_position"].copy()
+        place[20, 1] += push
+        pushed = audited.episode(tcp_position=place)
+        assert found("motion", pushed, *others) == faulty
+        assert "measured motion and actions differ" in texts("motion", pushed, *others)[0]
+    place = audited.arrays(0)["tcp_position"].copy()
+    place[20:22, 1] += 0.003  # the arm stays aside, as no contact of one tick leaves it
+    assert found("motion", audited.episode(tcp_position=place), *others) == ("e0",)
+
+
 def relabelled(episode: Any, labels: np.ndarray) -> Any:
     """Return an episode with other labels, of which the executed actions stay."""
 

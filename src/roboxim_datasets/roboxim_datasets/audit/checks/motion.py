@@ -31,7 +31,9 @@ ROUGH = 0.4
 NOISE_WINDOW = 6
 NOISE_RATIO = 0.5
 LEG = 4
-"""Fewest ticks in a row in which noise is injected."""
+"""Fewest ticks in a row in which labels differ by noise; two, where all of the action differs."""
+PUSHED = 5.0
+"""Times the tolerance by which a contact may push the arm aside for a tick or two."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +58,8 @@ class Motion(AuditCheck):
         "measured motion, as increments, differs from the response that all episodes share by more than 1 mm or 0.5 "
         f"degrees in a tick, or {DRIFT:g} times as much in sum; in data that is not simulated, also by more than "
         f"{TYPICAL:g} times what is typical; or all actions explain less than {100 * FOLLOWS:.0f} % of the motion, "
-        "lead to the motion of another tick, or have another scale; ticks at a joint's velocity limit aside"
+        "lead to the motion of another tick, or have another scale; ticks at a joint's velocity limit aside, and a "
+        f"warning alone where the arm is up to {PUSHED:g} times as far aside for a single tick, as after a contact"
     )
     needs = "the declared meaning of the actions, and the measured pose or joints that they command"
     order = 7
@@ -139,6 +142,7 @@ def _of_one(seen: _Seen, rows: Values, values: Values, tolerance: float, weights
     chain = seen.chain
     drift = np.linalg.norm(np.cumsum(rows, axis=0), axis=1)
     bad = np.flatnonzero(values > tolerance)
+    pushed = bool(len(bad)) and values.max() <= PUSHED * tolerance and _returns(drift > tolerance)
     if not len(bad) and float(drift.max(initial=0.0)) <= DRIFT * tolerance:
         return
     unit, per = chain.unit, chain.per_unit
@@ -152,12 +156,22 @@ def _of_one(seen: _Seen, rows: Values, values: Values, tolerance: float, weights
         worst = int(drift.argmax())
         text, ticks = f"{drift[worst] / per:.1f} {unit} in sum until tick {worst}", (0, worst)
     yield Finding(
-        text=f"{chain.name}: measured motion and actions differ by {text}{_guess(chain, weights, values > tolerance)}",
+        text=f"{chain.name}: measured motion and actions differ by {text}"
+        + (
+            "; the arm is back at the next tick, as after a contact"
+            if pushed
+            else _guess(chain, weights, values > tolerance)
+        ),
         episodes=(seen.name,),
         ticks=tuple(dict.fromkeys(ticks)),
-        severity=Severity.WARNING if seen.failed else Severity.FAULT,
+        severity=Severity.WARNING if seen.failed or pushed else Severity.FAULT,
         series={f"difference [{unit}]": tuple(values / per), f"in sum [{unit}]": tuple(drift / per)},
     )
+
+
+def _returns(off: Flags) -> bool:
+    """Return whether the arm is away from where its actions lead in single ticks only."""
+    return all(end == start for start, end in runs_of(off))
 
 
 def _guess(chain: Chain, weights: Values, bad: Flags) -> str:
@@ -187,8 +201,8 @@ class Labels(AuditCheck):
     reason = "The label is what the policy learns; where no noise was injected it is what was executed."
     threshold = (
         "gripper labels that are not the executed ones; a difference for fewer than "
-        f"{LEG} ticks in a row, or without the roughness that noise has; labels that ask for a course which zigzags by "
-        f"more than {ROUGH:g} mm or {ROUGH / 2:g} degrees"
+        f"{LEG} ticks in a row (2 where position and rotation differ), or without the roughness that noise has; labels "
+        f"that ask for a course which zigzags by more than {ROUGH:g} mm or {ROUGH / 2:g} degrees"
     )
     needs = "executed actions beside the labels, as in RoboXim's exports; the declared meaning of the actions"
     order = 8
@@ -207,8 +221,9 @@ class Labels(AuditCheck):
                 episodes=(episode.name,), ticks=(start, end),
                 series={"label": tuple(episode.actions[:, -1]), "executed": tuple(episode.executed[:, -1])},
             )  # fmt: skip
+        everywhere = np.all([_differs(chain) for chain in chains], axis=0) & (len(chains) > 1)
         for chain in chains:
-            problem, bad = _label_problem(chain, _near(_limited(episode)), planned=episode.planned)
+            problem, bad = _label_problem(chain, _near(_limited(episode)), everywhere, planned=episode.planned)
             if problem:
                 first, last = int(np.flatnonzero(bad)[0]), int(np.flatnonzero(bad)[-1])
                 yield Finding(
@@ -233,14 +248,27 @@ def _near(flags: Flags) -> Flags:
     return np.asarray(found, bool)
 
 
-def _label_problem(chain: Chain, limited: Flags, *, planned: bool) -> tuple[str, Flags]:
-    """Return what is wrong with the labels of a chain, and where; empty: nothing."""
+def _differs(chain: Chain) -> Flags:
+    """Return in which ticks label and executed action differ, shape (T,)."""
+    return np.asarray(np.linalg.norm(chain.apart, axis=1) > 1e-2 * chain.per_unit)
+
+
+def _label_problem(chain: Chain, limited: Flags, everywhere: Flags, *, planned: bool) -> tuple[str, Flags]:
+    """Return what is wrong with the labels of a chain, and where; empty: nothing.
+
+    Args:
+        chain: Positions, rotations or joints.
+        limited: Ticks near a joint's velocity limit, shape (T,).
+        everywhere: Ticks in which all chains of the action differ, as noise makes them, shape (T,).
+        planned: Whether the labels are a planner's.
+    """
     apart = np.linalg.norm(chain.apart, axis=1)
-    differs = apart > 1e-2 * chain.per_unit
+    differs = _differs(chain)
     short = [
-        run
-        for run in runs_of(differs)
-        if run[1] - run[0] + 1 < LEG and apart[slice(run[0], run[1] + 1)].max() > chain.tolerance
+        (start, end)
+        for start, end in runs_of(differs)
+        if end - start + 1 < (2 if everywhere[start : end + 1].all() else LEG)
+        and apart[start : end + 1].max() > chain.tolerance
     ]
     if short:
         start, end = short[0]
