@@ -124,8 +124,8 @@ def composed(studio: Studio, browser: Browser, camera: Photographer) -> None:
 
 def unfold(browser: Browser) -> None:
     """Open the form of a task, and bring it into sight."""
-    browser.run("[...document.querySelectorAll('*')].find((one) => one.innerText?.trim() === 'Compose').click()")
     browser.wait("document.querySelector('textarea')")
+    browser.run("[...document.querySelectorAll('*')].findLast((one) => one.innerText?.trim() === 'Compose').click()")
     browser.run("document.querySelector('#composed').scrollIntoView()")
 
 

@@ -33,9 +33,6 @@ if TYPE_CHECKING:
 EPISODE, SCENE, DRIVE, GRAPH = "Episode", "Scene", "Drive", "Graph"
 """What the view shows: an episode, a scene being edited, an episode that a person drives, or a running graph."""
 
-NARROW = 0.75
-"""Width of a page over its height below which its panel covers the lower part."""
-
 
 class Studio:
     """A running studio. A context manager; `url` is the address to open."""
@@ -48,6 +45,7 @@ class Studio:
         folder: Path | None = None,
         policies: Sequence[ChosenPolicy] = (),
         graph: LiveGraph | None = None,
+        site: Site | None = None,
     ) -> None:
         """Start the server, without content.
 
@@ -57,6 +55,7 @@ class Studio:
             folder: Folder that scenes and teleoperated episodes are written to; none: the working directory.
             policies: Policies that "what if" offers, besides the expert.
             graph: A running graph to show and edit; the studio leaves it when it closes.
+            site: A server that was started before, so that a page loads while this is made; none: one is started.
 
         Raises:
             RoboximError: When the port is taken.
@@ -66,14 +65,8 @@ class Studio:
         self._keys = Bench()  # a key must not wait for a simulation
         self.folder = folder or Path.cwd()
         """Folder that files are written to."""
-        self.site = Site(Access(open_network=open_network), port, received=self._received)
+        self.site = site or Site(Access(open_network=open_network), port)
         server = self.site.viser
-        server.scene.set_up_direction("+z")
-        server.scene.configure_default_lights(False)  # else a page that opens before a scene draws with them first
-        server.scene.configure_environment_map(None, environment_intensity=0.0)
-        server.initial_camera.position = (1.55, -0.9, 0.95)
-        server.initial_camera.look_at = (0.45, 0.0, 0.1)
-        server.on_client_connect(_look_above_the_panel)
         self.view = SceneView(server, self.library)
         self._modes = server.gui.add_button_group(
             "View", (EPISODE, SCENE, DRIVE) if graph is None else (EPISODE, SCENE, DRIVE, GRAPH)
@@ -103,6 +96,7 @@ class Studio:
         edit.on_click(lambda _: self.edit_episode())
         html.on_click(lambda _: self._share())
         self.show(EPISODE)
+        self.site.received = self._received
 
     @property
     def url(self) -> str:
@@ -272,9 +266,3 @@ class Studio:
                 self._keys.do(lambda: self.episode.key(key))
             elif self.mode == DRIVE:
                 self._keys.do(lambda: self.drive.key(key))
-
-
-def _look_above_the_panel(client: Any) -> None:
-    """Move a narrow page's view up, where its panel does not cover it."""
-    if client.camera.image_width < NARROW * client.camera.image_height:
-        client.camera.position, client.camera.look_at = (2.1, -1.35, 1.5), (0.4, 0.05, -0.95)

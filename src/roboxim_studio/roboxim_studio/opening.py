@@ -8,7 +8,6 @@ from pathlib import Path
 
 from roboxim_core.config import named_config
 from roboxim_core.errors import ConfigError
-from roboxim_recorder.bag_writer import PLACES
 
 
 class Kind(StrEnum):
@@ -66,6 +65,8 @@ def bags_of(folder: Path) -> tuple[Path, ...]:
 
     An evaluation's folder has a folder for each policy, whose bags follow one another.
     """
+    from roboxim_recorder.bag_writer import PLACES  # a page of one bag is served before this is needed
+
     runs = [folder, *sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))]
     found = [run / place for run in runs for place in PLACES.values() if (run / place).is_dir()]
     places = found or [folder]

@@ -109,6 +109,8 @@ def test_driving_in_the_page_with_held_keys(studio, chromium, tmp_path):
     chromium.key("Space", down=True)
     chromium.key("Space", down=False)
     wait_for(lambda: drive.state.robot.gripper_command == 0.0, "the gripper", 60)
+    chromium.click("Open or close the gripper")  # a phone has no keys
+    wait_for(lambda: drive.state.robot.gripper_command == 1.0, "the gripper open again", 60)
     chromium.key("Enter", down=True)
     chromium.key("Enter", down=False)
     wait_for(lambda: drive.result is not None, "the end", 60)

@@ -53,8 +53,9 @@ def command(
     import webbrowser
 
     from roboxim_studio.acting.live import LiveGraph, choose_graph
-    from roboxim_studio.app import Studio
     from roboxim_studio.opening import recognise
+    from roboxim_studio.serving.access import Access
+    from roboxim_studio.serving.site import Site
 
     opened = recognise(what)
     if html is not None:
@@ -66,17 +67,18 @@ def command(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     graph = None if run is None else LiveGraph(run, others)
-    with Studio(port=port, open_network=open_network, policies=chosen, graph=graph) as studio:
+    site = Site(Access(open_network=open_network), port)
+    click.echo(f"studio at {site.url}")
+    if open_network:
+        click.echo("from other machines: this machine's name instead of 127.0.0.1; traffic is not encrypted", err=True)
+    if browser:
+        threading.Thread(target=webbrowser.open, args=(site.url,), daemon=True).start()
+    from roboxim_studio.app import Studio  # most of the studio: a page loads meanwhile
+
+    with Studio(policies=chosen, graph=graph, site=site) as studio:
         if run is not None:
             named = ", ".join(f"{other.id} ({other.kind})" for other in others)
             click.echo(f"attached to the run {run.id}{f'; other runs: {named}' if named else ''}", err=True)
-        click.echo(f"studio at {studio.url}")
-        if open_network:
-            click.echo(
-                "from other machines: this machine's name instead of 127.0.0.1; traffic is not encrypted", err=True
-            )
-        if browser:
-            threading.Thread(target=webbrowser.open, args=(studio.url,), daemon=True).start()
         studio.open(opened)
         stop.wait()
 

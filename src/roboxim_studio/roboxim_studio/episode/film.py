@@ -60,6 +60,10 @@ class Film:
         return tuple(step.verdict for step in self.steps)
 
 
+GRACE_S = 2.0
+"""Longest time for which the pictures of a bag wait for the first question for one [s]."""
+
+
 @dataclass(eq=False)
 class Pictures:
     """Pictures by camera and tick, compressed. Filled by one thread and read by others."""
@@ -68,6 +72,8 @@ class Pictures:
     """Camera to tick to JPEG."""
     complete: threading.Event = field(default_factory=threading.Event)
     """Set when no more will come."""
+    asked: threading.Event = field(default_factory=threading.Event)
+    """Set when somebody wants to see some: a scene and its panel are shown first."""
 
     def add(self, seq: int, images: Mapping[str, Picture]) -> None:
         """Keep the pictures of a tick, uint8, shape (height, width, 3)."""
@@ -78,6 +84,7 @@ class Pictures:
 
     def at(self, seq: int) -> dict[str, Picture]:
         """Return the pictures of a tick that have come, by camera."""
+        self.asked.set()
         found = {name: ticks[seq] for name, ticks in tuple(self.data.items()) if seq in ticks}
         return {name: decoded(data) for name, data in found.items()}
 
@@ -107,6 +114,8 @@ def read_film(path: Path, *, in_background: bool = True) -> Film:
     pictures = Pictures()
 
     def fill() -> None:
+        if in_background:
+            pictures.asked.wait(GRACE_S)
         try:
             for tick in BagReader(path, info=reader.info).ticks(kinds=("image",)):
                 pictures.add(tick.seq, tick.images)

@@ -65,11 +65,14 @@ def _image(name: str) -> Any:
     """Return a texture as a picture whose lowest row is at v = 0, as trimesh expects."""
     from PIL import Image
 
-    linear_values = (pixels(name).astype(np.float64) / 255.0) ** 2
-    picture = Image.fromarray(_srgb(linear_values)[::-1])
+    picture = Image.fromarray(SRGB[pixels(name)][::-1])
     return picture.resize((TEXTURE_PX, TEXTURE_PX), Image.Resampling.LANCZOS)
 
 
 def _srgb(values: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
     encoded = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1 / 2.4) - 0.055)
     return np.asarray(np.rint(255 * np.clip(encoded, 0.0, 1.0)).astype(np.uint8))
+
+
+SRGB = _srgb((np.arange(256) / 255.0) ** 2)
+"""Value of a renderer's texture, which is the square root of a linear one, to that of a picture, uint8."""
