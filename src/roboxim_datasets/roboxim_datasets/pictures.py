@@ -91,8 +91,8 @@ def colour_picture(data: bytes, expected: ImageSize | None = None) -> RGBImage:
         raise _bad(str(error)) from None
 
 
-def deep_picture(data: bytes, expected: ImageSize) -> np.ndarray[tuple[int, ...], np.dtype[np.uint16]]:
-    """Decode a picture of one channel of 16 bits, shape (height, width).
+def deep_picture(data: bytes, expected: ImageSize) -> np.ndarray[tuple[int, ...], np.dtype[Any]]:
+    """Decode a picture of one channel, of 16 bits or of float32 (TIFF), shape (height, width).
 
     Args:
         data: The encoded picture.
@@ -105,9 +105,9 @@ def deep_picture(data: bytes, expected: ImageSize) -> np.ndarray[tuple[int, ...]
 
     _head_of_size(data, expected)
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if picture is None or picture.ndim != 2:
+    if picture is None or picture.ndim != 2 or picture.dtype not in (np.uint8, np.uint16, np.float32):
         raise _bad("an image of depth or segmentation is damaged")
-    return np.asarray(picture, np.uint16)
+    return picture if picture.dtype == np.float32 else np.asarray(picture, np.uint16)
 
 
 def _bad(message: str) -> RecorderError:

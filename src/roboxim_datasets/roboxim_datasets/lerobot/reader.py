@@ -28,6 +28,7 @@ from roboxim_datasets.lerobot.columns import cells, floats, peek
 from roboxim_datasets.lerobot.content import LeRobotContent
 from roboxim_datasets.lerobot.layout import (
     DEPTH_UNIT_M,
+    DEPTH_UNITS_M,
     INDEX_COLUMNS,
     INFO_FILE,
     NAMES,
@@ -166,11 +167,8 @@ class LeRobotDataset(Dataset):
         """Return why a column of images is none of colour images; empty: it is one, as far as its description says."""
         feature = self._features[key]
         shape = self._shape(key)
-        about: dict[str, Any] = feature["info"] if isinstance(feature.get("info"), dict) else {}
-        deep = any(bool(about.get(name)) for name in ("video.is_depth_map", "is_depth_map"))
-        pixels = str(about.get("video.pix_fmt", about.get("pix_fmt", "")))
-        if deep or pixels.startswith(("gray1", "gray9")):
-            return f"a video of depth ({pixels or 'is_depth_map'}), whose unit the format does not state"
+        if feature["dtype"] == "video" and (why := self._deep_video(key)):
+            return why
         if len(shape) != 3 or 3 not in (shape[0], shape[2]):
             what = "16-bit depth or grey images" if len(shape) == 3 and 1 in (shape[0], shape[2]) else "images"
             return f"{what} of shape {shape}; only colour images of three channels are read"
@@ -178,6 +176,30 @@ class LeRobotDataset(Dataset):
         if not 0 < size.height * size.width <= MOST_PIXELS:
             return f"images of {size.width} x {size.height} pixels; 1 to {MOST_PIXELS} are read"
         return ""
+
+    def _about(self, key: str) -> Mapping[str, Any]:
+        """Return what ``info.json`` says of a column's images."""
+        feature = self._features[key]
+        parts = [feature[name] for name in ("video_info", "info") if isinstance(feature.get(name), dict)]
+        return {name: value for part in parts for name, value in part.items()}
+
+    def _deep_video(self, key: str) -> str:
+        """Return that a video is one of depth, and what is said of its numbers; empty: it is none."""
+        about = self._about(key)
+        pixels = str(about.get("video.pix_fmt", about.get("pix_fmt", "")))
+        deep = any(bool(about.get(name)) for name in ("video.is_depth_map", "is_depth_map"))
+        if not deep and not pixels.startswith(("gray1", "gray9")):
+            return ""
+        said = f"a video of depth ({printable(pixels or 'is_depth_map', 40)})"
+        names = [f"video.{name}" for name in ("depth_min", "depth_max", "shift", "use_log")]
+        if not any(name in about for name in names):
+            return f"{said}, whose unit the format does not state"
+        scale = ", ".join(f"{name.removeprefix('video.')} {printable(about.get(name), 20)}" for name in names)
+        return f"{said} whose numbers are quantised ({scale}); no video of depth is read"
+
+    def _unit_m(self, key: str) -> float:
+        """Return the unit of a column of depth images [m], as ``info.json`` or the user states it; 0: unknown."""
+        return DEPTH_UNITS_M.get(str(self._about(key).get("depth_unit")), self.depth_unit_m)
 
     def _content(self) -> LeRobotContent:
         """Return where the parts of an episode are by the usual names."""
@@ -228,9 +250,12 @@ class LeRobotDataset(Dataset):
     def _depth(self, cameras: Mapping[str, str], columns: Mapping[str, Any]) -> dict[str, str]:
         """Return the columns of 16-bit depth images that become the depth of a camera, if their unit is stated."""
         found: dict[str, str] = {}
-        for key in self._unread if self.depth_unit_m else ():
-            if self._features[key]["dtype"] != "image" or not self._deep(columns.get(key)):
+        for key in self._unread:
+            if self._features[key]["dtype"] != "image" or not self._unit_m(key) or not self._deep(columns.get(key)):
                 continue
+            if self.depth_unit_m not in (0, self._unit_m(key)):
+                unit = self._about(key)["depth_unit"]
+                raise InvalidRequestError(f"{self.path} says that '{key}' is in {unit}; leave --depth-unit out")
             camera = camera_of(key.removeprefix(_CAMERA_PREFIX), cameras.values())
             size = head_of(columns[key]["bytes"]).size
             colour = next((_size(self._shape(name)) for name, own in cameras.items() if own == camera), None)
@@ -436,7 +461,8 @@ class LeRobotDataset(Dataset):
         videos = {camera: self._frames(place, key) for camera, key in keys.items() if camera not in stored}
         texts = self._texts(place)
         several, subtasks = len(set(texts)) > 1, self._subtasks_of(place)
-        unit, deep, sizes = self.depth_unit_m or DEPTH_UNIT_M, [*depth.items(), *masks.items()], self.features.cameras
+        deep, sizes = [*depth.items(), *masks.items()], self.features.cameras
+        units = {key: self._unit_m(key) or DEPTH_UNIT_M for key in depth.values()}
         for step in range(place.length):
             read = {key: self._image_bytes(cells(table, key, step, where)) for key in encoded}
             images: dict[str, RGBImage] = {camera: next(frames) for camera, frames in videos.items()}
@@ -452,7 +478,7 @@ class LeRobotDataset(Dataset):
             yield Step(
                 index=step,
                 images={camera: images[camera] for camera in keys},
-                depth={camera: maps[key] * np.float32(unit) for camera, key in depth.items()},
+                depth={camera: maps[key] * np.float32(units[key]) for camera, key in depth.items()},
                 segmentation={camera: maps[key] for camera, key in masks.items()},
                 proprio={vector: numbers[key][step] for key, vector in content.vectors.items()},
                 action=numbers[content.names.action][step],
@@ -593,7 +619,7 @@ class LeRobotDataset(Dataset):
     def _changed(self, key: str) -> str:
         dtype = str(self._features[key]["dtype"])
         if key in self.content.depth:
-            return f"16-bit depth in units of {self.depth_unit_m:g} m, read as metres"
+            return f"depth in units of {self._unit_m(key) or DEPTH_UNIT_M:g} m, read as metres"
         return "" if dtype in ("float32", "image", "video") or key == "next.success" else f"{dtype}, read as float32"
 
     def _not_finite(self) -> str:

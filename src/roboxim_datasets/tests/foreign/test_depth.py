@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from made_foreign import EPISODES, SIDE, STEPS, lerobot30, png
+from PIL import Image
 
 from roboxim_core.errors import InvalidRequestError, RecorderError
 from roboxim_datasets.dataset import Dataset
@@ -63,7 +66,7 @@ def test_depth_of_lerobot_survives_the_formats_that_hold_it(tmp_path: Path, chan
     at = open_dataset(folder, depth_unit_m=UNIT_M)
     assert at.features.depth == ("top",)
     assert not at.account.left_out
-    assert [p.why for p in at.account.changed if p.name == TOP] == ["16-bit depth in units of 0.001 m, read as metres"]
+    assert [p.why for p in at.account.changed if p.name == TOP] == ["depth in units of 0.001 m, read as metres"]
     expected = np.stack([millimetres(step) for step in range(STEPS)]) * UNIT_M
     for format, options in (("hdf5", None), ("lerobot", LeRobotOptions(images=True)), ("hdf5", None)):
         at = converted(at, tmp_path / f"{format}{len(list(tmp_path.iterdir()))}", format, options)
@@ -72,6 +75,49 @@ def test_depth_of_lerobot_survives_the_formats_that_hold_it(tmp_path: Path, chan
     assert [(p.name, p.count, p.why) for p in written.left_out] == [
         ("depth of camera top", EPISODES * STEPS, "rlds holds colour images only")
     ]
+
+
+def stated(folder: Path, unit: str, values: Callable[[int], np.ndarray]) -> Path:
+    """Write a dataset as lerobot 0.6 does: depth in TIFF, whose unit ``info.json`` states.
+
+    Source: huggingface/lerobot@7427f318, datasets/image_writer.py, dataset_writer.py (depth_unit).
+    """
+    with_depth(folder)
+    table = pq.read_table(folder / DATA)
+    cells = []
+    for row in range(table.num_rows):
+        out = io.BytesIO()
+        Image.fromarray(values(row % STEPS)).save(out, "TIFF")
+        cells.append({"bytes": out.getvalue(), "path": None})
+    at = table.column_names.index(TOP)
+    pq.write_table(table.set_column(at, TOP, pa.array(cells, table.schema.field(TOP).type)), folder / DATA)
+    info = json.loads((folder / "meta/info.json").read_text())
+    info["features"][TOP]["info"] = {"is_depth_map": True, "depth_unit": unit}
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("unit", "values"), [("mm", millimetres), ("m", lambda step: (millimetres(step) * UNIT_M).astype(np.float32))]
+)
+def test_depth_whose_unit_lerobot_states_needs_no_option(
+    tmp_path: Path, unit: str, values: Callable[[int], np.ndarray]
+) -> None:
+    folder = stated(tmp_path / "a", unit, values)
+    at = open_dataset(folder)
+    assert at.features.depth == ("top",)
+    assert not at.account.left_out
+    expected = np.stack([millimetres(step) for step in range(STEPS)]) * UNIT_M
+    np.testing.assert_allclose(depths(at), expected, atol=1e-6)
+    made = converted(at, tmp_path / "b", "lerobot", LeRobotOptions(images=True))
+    np.testing.assert_allclose(depths(made), expected, atol=1.3e-4)
+    with pytest.raises(InvalidRequestError, match=f"says that '{TOP}' is in {unit}; leave --depth-unit out"):
+        open_dataset(folder, depth_unit_m=0.5)
+
+
+def test_a_unit_that_lerobot_does_not_know_is_none(tmp_path: Path) -> None:
+    [part] = open_dataset(stated(tmp_path / "a", "furlong", millimetres)).account.left_out
+    assert part.name == TOP
 
 
 @pytest.mark.parametrize(("key", "side"), [("observation.images.wrist_depth", SIDE), (TOP, 2 * SIDE)])

@@ -179,10 +179,17 @@ def test_what_lerobot_leaves_out(tmp_path: Path) -> None:
     info["features"]["said"] = {"dtype": "string", "shape": [1], "names": None}
     deep = {"video.is_depth_map": True, "video.pix_fmt": "gray12le"}
     info["features"]["observation.images.deep"] = {"dtype": "video", "shape": [8, 8, 1], "names": None, "info": deep}
+    scale = {"video.depth_min": 0.01, "video.depth_max": 10.0, "video.shift": 3.5, "video.use_log": True}
+    said = {"is_depth_map": True, "video.pix_fmt": "gray12le", **scale}  # as lerobot 0.6 does
+    info["features"]["observation.images.scaled"] = {"dtype": "video", "shape": [8, 8, 1], "names": None, "info": said}
     (folder / "meta/info.json").write_text(json.dumps(info))
     left_out = _left_out(open_dataset(folder))
-    assert set(left_out) == {"said", "1 'nothing'", "observation.images.deep"}
+    assert set(left_out) == {"said", "1 'nothing'", "observation.images.deep", "observation.images.scaled"}
     assert left_out["observation.images.deep"].startswith("a video of depth (gray12le)")
+    assert left_out["observation.images.scaled"] == (
+        "a video of depth (gray12le) whose numbers are quantised (depth_min 0.01, depth_max 10.0, shift 3.5, use_log "
+        "True); no video of depth is read"
+    )
 
 
 def test_what_hdf5_reads_and_leaves_out(tmp_path: Path) -> None:
