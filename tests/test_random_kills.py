@@ -4,6 +4,7 @@
 renamed, or before the first byte. What may differ after kills is named in `MAY_DIFFER`.
 """
 
+import json
 import random
 import signal
 import subprocess
@@ -57,10 +58,10 @@ main()
 """The command ``roboxim``, killed at a numbered operation on files below a folder; 0: it counts them."""
 KILLS = 5
 LONGEST_S = 1800.0
-MAY_DIFFER = {
-    ".lock", "events.jsonl", "log", "stages.jsonl", "run.json", "runs.jsonl", "times.json", "state.json", "jobs",
-}  # fmt: skip
-"""Parts of paths of records of how a run went: starts, times, progress."""
+MAY_DIFFER = {".lock", "events.jsonl", "logs", "stages.jsonl", "run.json", "card.json", "report.html"}
+"""Parts of paths of what records how a run went: starts, times and progress; a card is compared by its checksum."""
+TIMES = ("wall_s", "inference_s", "checksum")
+"""What may differ in a line of ``results.jsonl``."""
 
 
 def run(arguments, place, left, note):
@@ -75,44 +76,52 @@ def run(arguments, place, left, note):
 
 
 def content(folder):
-    """Return the files of a folder that must be equal, by path."""
-    files = (path.relative_to(folder) for path in sorted(folder.rglob("*")) if path.is_file())
-    return {str(path): (folder / path).read_bytes() for path in files if not MAY_DIFFER & set(path.parts)}
+    """Return the files of a folder that must be equal, by path, and the checksum of its card."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder)
+        if not path.is_file() or MAY_DIFFER & set(name.parts) or path.suffix == ".log":
+            continue
+        found[str(name)] = path.read_bytes()
+        if name.name == "results.jsonl":
+            lines = map(json.loads, path.read_text().splitlines())
+            found[str(name)] = sorted(str({k: v for k, v in line.items() if k not in TIMES}) for line in lines)
+    if (folder / "card.json").exists():
+        found["sha256"] = json.loads((folder / "card.json").read_text())["sha256"]
+    return found
 
 
-def after_kills(arguments, whole, cut, note):
-    """Run a command to its end in one folder; in another one kill it at drawn operations first."""
-    total = run(arguments(whole), whole, 0, note)
+def after_kills(arguments, folder):
+    """Run a command to its end; then, at the same place, kill it at drawn operations first. Return both contents."""
+    out, note = folder / "out", folder / "count"
+    total = run(arguments(out), out, 0, note)
+    out.rename(folder / "whole")
     rng, kills = random.Random(0), 0
     for _ in range(KILLS):
-        kills += run(arguments(cut), cut, rng.randint(1, total), note) is None
-    run(arguments(cut), cut, 0, note)
+        kills += run(arguments(out), out, rng.randint(1, total), note) is None
+    run(arguments(out), out, 0, note)
     assert kills >= 2, "the drawn operations came"
+    return content(folder / "whole"), content(out)
 
 
 @pytest.fixture(scope="module")
 def experiment(tmp_path_factory):
-    """Return the folder of an experiment, and that of one that was killed again and again."""
+    """Return the folder of an experiment, its content, and that after kills."""
     folder = tmp_path_factory.mktemp("kills")
     (folder / "mine.yaml").write_text(TEXT)
-    whole, cut = folder / "whole", folder / "cut"
-    after_kills(
-        lambda out: ["experiment", "run", folder / "mine.yaml", "--out", out, "--workers", "1"],
-        whole, cut, folder / "count",
-    )  # fmt: skip
-    return whole, cut
+    command = ["experiment", "run", folder / "mine.yaml", "--workers", "1", "--out"]
+    return folder, *after_kills(lambda out: [*command, out], folder)
 
 
 def test_an_experiment_that_is_killed_at_any_time_ends_with_the_same_bytes(experiment):
-    whole, cut = map(content, experiment)
+    _, whole, cut = experiment
     assert sorted(whole) == sorted(cut)
     assert [path for path in whole if whole[path] != cut[path]] == []
 
 
 def test_a_training_that_is_killed_at_any_time_ends_with_the_same_bytes(experiment, tmp_path):
-    (dataset,) = (experiment[0] / "export").iterdir()
+    (dataset,) = (experiment[0] / "out/export").iterdir()
     command = ["train", "bc", dataset, "--steps", 12, "--seed", 1, "--set", "checkpoint_every=2", "--out"]
-    after_kills(lambda out: [*command, out], tmp_path / "whole", tmp_path / "cut", tmp_path / "count")
-    whole, cut = content(tmp_path / "whole"), content(tmp_path / "cut")
+    whole, cut = after_kills(lambda out: [*command, out], tmp_path)
     assert "checkpoint.npz" in whole
     assert whole == cut

@@ -25,6 +25,8 @@ Segmentation = npt.NDArray[np.uint16]
 MetaValue = str | int | float | bool
 SIGNAL_PREFIX = "sim."
 """Prefix of the names of `Step.signals`."""
+PART = "-part"
+"""What stands between an episode's id and the number of a stretch in which one actor acted (``--acted-by``)."""
 EXECUTED = "sim.action_executed"
 """Name under which datasets store `Step.action_executed`."""
 
@@ -291,3 +293,9 @@ class Episode:
                 )
         places = [at[name] for name in names]
         return lambda step: np.array([step.proprio[vector][index] for vector, index in places], np.float32)
+
+
+def whole_id(episode_id: str) -> str:
+    """Return the id of the whole episode of which an episode of a dataset may be a stretch of one actor."""
+    name, _, number = episode_id.rpartition(PART)
+    return name if name and number.isdecimal() else episode_id

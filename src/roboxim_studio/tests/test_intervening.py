@@ -4,6 +4,7 @@ import json
 import shutil
 import time
 
+import h5py
 import numpy as np
 import pytest
 from websockets.sync.client import connect
@@ -11,6 +12,7 @@ from websockets.sync.client import connect
 from roboxim_core.episode import Draw
 from roboxim_core.errors import InvalidRequestError, RecorderError, SimError
 from roboxim_core.seeds import SeedPath
+from roboxim_datasets.episode import whole_id
 from roboxim_datasets.formats import open_dataset
 from roboxim_recorder import topics
 from roboxim_recorder.acted import ActedBy, acted_by, is_shared
@@ -18,6 +20,9 @@ from roboxim_recorder.bag import BagReader
 from roboxim_recorder.export import EXPORTERS, export_bags
 from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.replay import replay
+from roboxim_recorder.run_bags import list_bags
+from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
+from roboxim_runs.datasets.replay_gate import BagFinder
 from roboxim_studio.acting.drive import Drive, continued
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.acting.partner import Partner
@@ -105,6 +110,38 @@ def test_an_export_takes_the_steps_of_one_actor(shared, reader, tmp_path):
         export_bags("hdf5", shared, tmp_path / "policy", config(acted_by="policy"))
     with pytest.raises(InvalidRequestError, match="expert"):
         config(acted_by="experts")
+
+
+def test_stretches_of_one_actor_are_audited_against_their_bag_and_are_not_replayed(shared, reader, tmp_path):
+    config = EXPORTERS["hdf5"]().config(val_fraction=0.0, acted_by="expert")
+    path = export_bags("hdf5", shared, tmp_path / "expert", config).path
+
+    def findings():
+        audited = audit_dataset(
+            path, config=AuditConfig(bags=(shared,), render=False, checks=("content", "recorded_task"))
+        )
+        return [finding.text for check in audited.result.checks for finding in check.findings]
+
+    assert findings() == []
+    with h5py.File(next(path.glob("*.hdf5")), "r+") as file:
+        file["data/demo_1/actions"][2, 0] += 0.01
+    assert "action" in findings()[0]
+    finder = BagFinder(path, [shared])
+    for episode in open_dataset(path).episodes():
+        bag, why = finder.find(episode)
+        assert bag is None
+        assert "the steps of one actor of" in why
+        assert reader.info.episode_id in why
+    assert whole_id("a-part12") == "a"
+    assert [whole_id(name) for name in ("a-part", "a-partx", "-part1")] == ["a-part", "a-partx", "-part1"]
+
+
+def test_a_trimmed_and_relabelled_export_is_audited_as_it_was_edited(run, tmp_path):
+    first = list_bags(run)[0].name
+    config = EXPORTERS["hdf5"]().config(val_fraction=0.0, where=(f"trim {first} 1..4", f"relabel {first} Do it"))
+    path = export_bags("hdf5", run, tmp_path / "edited", config).path
+    audited = audit_dataset(path, config=AuditConfig(bags=(run,), render=False, checks=("content",)))
+    assert [finding.text for check in audited.result.checks for finding in check.findings] == []
 
 
 def test_a_bag_of_one_actor_is_exported_as_before(run, tmp_path):

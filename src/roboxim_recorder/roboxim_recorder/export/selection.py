@@ -184,6 +184,18 @@ def choose(runs: Sequence[RunBags], selection: Selection) -> Chosen:
     )
 
 
+def exported_sources(sources: Sequence[Source], selection: Selection) -> tuple[Source, ...]:
+    """Return what an export makes of bags, trimmed, relabelled and divided by actor, before it draws splits.
+
+    Raises:
+        InvalidRequestError: On a condition that no episode can meet.
+        RecorderError: ``EXPORT_REFUSED`` when none is exported.
+    """
+    left_out: Counter[str] = Counter()
+    found = stating_actors(_filtered(sources, selection, left_out))
+    return tuple(_by_actor({"": tuple(found)}, selection.acted_by, left_out)[""])
+
+
 def _source(path: Path, bags: RunBags) -> Source:
     reader = BagReader(path)
     info, result = reader.info, reader.result

@@ -8,6 +8,7 @@ from itertools import groupby
 from pathlib import Path
 
 from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
+from roboxim_datasets.episode import PART
 from roboxim_datasets.where import Edit
 from roboxim_recorder import topics
 from roboxim_recorder.acted import ActedBy, acted_by, actor_of
@@ -111,7 +112,7 @@ def by_actor(source: Source, actor: ActedBy) -> tuple[Source, ...]:
             found.append((stretch[0], stretch[-1]))
     if found == [(source.first, source.first + source.steps - 1)]:
         return (source,)
-    return tuple(source.only(first, last, f"-part{number}") for number, (first, last) in enumerate(found))
+    return tuple(source.only(first, last, f"{PART}{number}") for number, (first, last) in enumerate(found))
 
 
 def _actors(source: Source) -> tuple[ActedBy, ...]:

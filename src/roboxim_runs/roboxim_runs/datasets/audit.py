@@ -22,7 +22,7 @@ from roboxim_datasets.audit import AUDIT_CHECKS, AuditEpisode, Auditor, AuditRes
 from roboxim_datasets.audit.report import AuditReport, Picture, write_audit
 from roboxim_datasets.audit.values import NO_EXPECTED
 from roboxim_datasets.dataset import Dataset
-from roboxim_datasets.episode import Episode
+from roboxim_datasets.episode import Episode, whole_id
 from roboxim_datasets.formats import open_dataset
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import disk_errors
@@ -223,6 +223,10 @@ def _of_dataset(dataset: Dataset, count: int, bags: _Bags) -> Iterator[_Entry]:
         yield _Entry(name=name, split=split, episode=episode, bag=bag, no_bag=why)
 
 
+PART_OF = "it has the steps of one actor of {}, and ground truth needs all of them"
+"""Why a stretch of an episode has no ground truth beside the values that an export gives."""
+
+
 class _Bags:
     """Bags by episode id."""
 
@@ -239,10 +243,11 @@ class _Bags:
         if not self._given:
             return None, ""
         wanted = episode.metadata.get("final_state_hash")
-        for bag in self.paths.get(episode.episode_id, ()):
+        name = whole_id(episode.episode_id)
+        for bag in self.paths.get(name, ()):
             try:
                 if wanted is None or BagReader(bag).result.final_state_hash == wanted:
-                    return bag, ""
+                    return (bag, "") if name == episode.episode_id else (None, PART_OF.format(bag))
             except RecorderError:
                 continue
         return None, NO_BAG

@@ -14,12 +14,13 @@ from roboxim_core.config import from_plain
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import Episode
+from roboxim_recorder.acted import is_shared
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.export.content import content_of
 from roboxim_recorder.export.convention_file import CONVENTION_FILE
 from roboxim_recorder.export.episodes import exported_episode
 from roboxim_recorder.export.registry import EXPORTERS
-from roboxim_recorder.export.selection import Selection
+from roboxim_recorder.export.selection import Selection, exported_sources
 from roboxim_recorder.export.sources import Source
 
 NO_SETTINGS = "the dataset does not say how it was exported (export.json), so its bags cannot be exported alike"
@@ -55,23 +56,23 @@ def expected_of_bags(dataset: Dataset, bags: Mapping[str, list[Path]]) -> Expect
     for name, paths in bags.items():
         for path in paths:
             reader = BagReader(path)
-            sources.setdefault(name, Source(path=path, info=reader.info, result=reader.result))
+            made = Source(path=path, info=reader.info, result=reader.result, shared=is_shared(reader))
+            sources.setdefault(name, made)
     if not sources:
         return NO_BAG
     try:
-        content = content_of(list(sources.values()), config)
+        exported = {source.episode_id: source for source in exported_sources(list(sources.values()), config)}
+        content = content_of(list(exported.values()), config)
     except RoboximError as error:
         return f"its bags cannot be exported with the settings of its export.json: {error}"
-    by_id = {source.info.episode_id: source for source in sources.values()}
-    wanted = {
-        name for name, source in by_id.items() if source.result.outcome == "success" or not config.only_successful
-    }
+
+    whole = {source.info.episode_id: source for source in sources.values()}
 
     def find(episode: Episode, name: str) -> Episode | None:
-        source = by_id.get(episode.episode_id)
+        source = exported.get(episode.episode_id) or whole.get(episode.episode_id)
         return None if source is None else exported_episode(source, content)
 
-    return Expected(find=find, missing=NO_BAG, lossless=dataset.features.lossless, unclaimed=wanted)
+    return Expected(find=find, missing=NO_BAG, lossless=dataset.features.lossless, unclaimed=set(exported))
 
 
 def expected_of_dataset(dataset: Dataset, other: Dataset) -> Expected:

@@ -32,7 +32,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import distance
 from roboxim_core.state import StateRecord
 from roboxim_datasets.dataset import Dataset
-from roboxim_datasets.episode import Episode
+from roboxim_datasets.episode import Episode, whole_id
 from roboxim_datasets.formats import open_dataset
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import PLACES, REPAIRED
@@ -458,15 +458,17 @@ class BagFinder:
         if Path(name).name != name or name.startswith("."):
             return None, f"{name!r} is no episode's id"
         expected = episode.metadata.get("final_state_hash")
-        others = 0
-        for path in self._candidates(name):
+        others, whole = 0, whole_id(name)
+        for path in self._candidates(whole):
             try:
                 reader = BagReader(path)
-                fits = reader.info.episode_id == name and expected in (None, reader.result.final_state_hash)
+                fits = reader.info.episode_id == whole and expected in (None, reader.result.final_state_hash)
             except RecorderError as error:
                 if error.code != ErrorCode.BAG_DAMAGED:
                     raise
                 continue
+            if fits and whole != name:
+                return None, f"it has the steps of one actor of {path}; export the episode whole, without --acted-by"
             if fits:
                 trimmed = _trimmed(episode, reader)
                 return (None, trimmed) if trimmed else (path, "")

@@ -13,6 +13,7 @@ from roboxim_core.plain_data.documents import parse_json
 from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
 from roboxim_datasets.audit.checks.behaviour import movement
 from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Severity, Values
+from roboxim_datasets.episode import whole_id
 
 MOST_SHARED = 0.25
 """Largest share of episodes whose task another episode has too, where scenes are drawn: beyond, they are not."""
@@ -27,10 +28,19 @@ class _Seen:
     """What the check keeps of an episode."""
 
     name: str
+    recording: str
     run: str
     skill: str
     task: str
     moves: Values | None
+
+
+def _of_recordings(group: Sequence[_Seen]) -> list[_Seen]:
+    """Return the first of each recording's stretches of one actor, which share its task."""
+    first: dict[str, _Seen] = {}
+    for seen in group:
+        first.setdefault(seen.recording, seen)
+    return list(first.values())
 
 
 @AUDIT_CHECKS.register("recorded_task")
@@ -67,9 +77,13 @@ class RecordedTask(AuditCheck):
             moves = movement(episode)
         except CannotCheckError:
             moves = None
+        own, whole = episode.episode.episode_id, whole_id(episode.episode.episode_id)
+        recording = episode.name if whole == own else whole
         self._seen.append(
-            _Seen(name=episode.name, run=str(metadata.get("run_seed", "")), skill=str(task["skill"]), task=text,
-                  moves=moves)
+            _Seen(
+                name=episode.name, recording=recording, run=str(metadata.get("run_seed", "")),
+                skill=str(task["skill"]), task=text, moves=moves,
+            )
         )  # fmt: skip
         yield from ()
 
@@ -83,7 +97,7 @@ class RecordedTask(AuditCheck):
         groups = defaultdict(list)
         for seen in self._seen:
             groups[seen.task].append(seen)
-        shared = [group for group in groups.values() if len(group) > 1]
+        shared = [group for group in map(_of_recordings, groups.values()) if len(group) > 1]
         if sum(map(len, shared)) > max(2, MOST_SHARED * len(self._seen)):
             return
         for group in shared:
