@@ -1,9 +1,11 @@
-"""Pytest fixtures: nodes in this process, in their own domain. Import `graph_host` into a conftest."""
+"""Pytest fixtures: nodes in this process, in their own domain. Import `graph_host` and `runtime` into a conftest."""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TypeVar
 
 import pytest
@@ -42,3 +44,15 @@ def graph_host() -> Iterator[NodeHost]:
     """A `NodeHost` in a fresh domain: ``graph_host.add(lambda context: MyNode(context=context))``."""
     with free_domain() as domain, NodeHost(domain_id=domain) as host:
         yield host
+
+
+@pytest.fixture
+def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Give the test its own registry of runs; restore the environment afterwards."""
+    before = dict(os.environ)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("ROBOXIM_RUN", raising=False)
+    yield tmp_path
+    for name in set(os.environ) - set(before):
+        del os.environ[name]
+    os.environ.update(before)

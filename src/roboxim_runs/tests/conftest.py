@@ -14,6 +14,7 @@ from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import RoboximError
 from roboxim_eval.experiments.proving.proofs import Tally
 from roboxim_eval.testing import SKILL_AND_OBJECT
+from roboxim_ros.testing import runtime
 from roboxim_runs.experiments import stages as experiment_stages
 from roboxim_runs.experiments.run import ExperimentRunConfig
 from roboxim_runs.policies.specs import find_policies
@@ -21,7 +22,7 @@ from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.storage.store import STORED_FILE
 from roboxim_tasks.config import task_mix
 
-__all__ = ["graph", "graph_parameters"]
+__all__ = ["graph", "graph_parameters", "runtime"]
 
 TEXT = SKILL_AND_OBJECT + """
 trainers:
@@ -139,14 +140,3 @@ def config(tmp_path):
         return ExperimentRunConfig(**{"experiment": str(file), "out": tmp_path / "out", **options})
 
     return made
-
-
-@pytest.fixture
-def runtime(tmp_path, monkeypatch):
-    """Give the test its own registry of runs; restore the environment afterwards."""
-    before = dict(os.environ)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.delenv("ROBOXIM_RUN", raising=False)
-    yield tmp_path
-    for name in set(os.environ) - set(before):
-        del os.environ[name]

@@ -12,7 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
@@ -47,6 +47,18 @@ class Page:
         self.errors: list[str] = []
         """Uncaught errors of the page's scripts."""
 
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()
+
+    def close(self) -> None:
+        """End the browser."""
+        raise NotImplementedError
+
     def run(self, script: str) -> Any:
         """Return the value of a JavaScript expression; promises are awaited.
 
@@ -78,6 +90,24 @@ class Page:
     def _describe(self) -> str:
         shown = str(self.run("document.body ? document.body.innerText.slice(0, 600) : ''"))
         return f"the page shows {shown!r}; errors of its scripts: {self.errors[-3:]}"
+
+    def _connect(self, process: subprocess.Popen[Any], address: Callable[[], str]) -> None:
+        """Connect to a browser as soon as it says where.
+
+        Args:
+            process: The browser.
+            address: Returns its address; empty: it has not said it yet.
+
+        Raises:
+            RoboximError: When it ends before, or says nothing in time.
+        """
+
+        def found() -> str:
+            if process.poll() is not None:
+                raise RoboximError(f"the browser ended with {process.returncode}", ErrorCode.UNAVAILABLE)
+            return address()
+
+        self._socket = connect(wait_for(found, "the browser"), max_size=None, max_queue=None, ping_interval=None)
 
     def _exchange(self, message: dict[str, Any]) -> Any:
         """Send a command and return its answer; events that come before it are noted.
@@ -127,7 +157,7 @@ class Browser(Page):
         options = (*OPTIONS, f"--user-data-dir={self._folder.name}", f"--window-size={width},{height}", "about:blank")
         self._process = subprocess.Popen([path, *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
-            self._socket = self._connect()
+            self._connect(self._process, self._address)
             self._session = ""
             target = self._call("Target.createTarget", url="about:blank")["targetId"]
             self._session = self._call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
@@ -137,14 +167,6 @@ class Browser(Page):
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> Browser:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close."""
-        self.close()
 
     def close(self) -> None:
         """End the browser."""
@@ -189,16 +211,10 @@ class Browser(Page):
         data = self._call("Page.captureScreenshot", format="png")["data"]
         path.write_bytes(base64.b64decode(data))
 
-    def _connect(self) -> Any:
+    def _address(self) -> str:
         file = Path(self._folder.name) / "DevToolsActivePort"
-
-        def address() -> str:
-            if self._process.poll() is not None:
-                raise RoboximError(f"the browser ended with {self._process.returncode}", ErrorCode.UNAVAILABLE)
-            lines = file.read_text().split("\n") if file.exists() else []
-            return f"ws://127.0.0.1:{lines[0]}{lines[1]}" if len(lines) > 1 else ""
-
-        return connect(wait_for(address, "the browser"), max_size=None, max_queue=None, ping_interval=None)
+        lines = file.read_text().split("\n") if file.exists() else []
+        return f"ws://127.0.0.1:{lines[0]}{lines[1]}" if len(lines) > 1 else ""
 
     def _call(self, method: str, **parameters: Any) -> Any:
         message: dict[str, Any] = {"method": method, "params": parameters}

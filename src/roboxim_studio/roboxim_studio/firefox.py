@@ -14,10 +14,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from websockets.sync.client import connect
-
 from roboxim_core.errors import ErrorCode, RoboximError
-from roboxim_studio.browser import Page, end, wait_for
+from roboxim_studio.browser import Page, end
 
 NAMES = ("firefox-esr", "firefox")
 PREFERENCES = {
@@ -66,21 +64,13 @@ class Firefox(Page):
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         try:
-            self._socket = self._connect(folder / "WebDriverBiDiServer.json")
+            self._connect(self._process, self._address)
             self._call("session.new", capabilities={})
             self._context = self._call("browsingContext.getTree")["contexts"][0]["context"]
             self._call("session.subscribe", events=["log.entryAdded", "network.beforeRequestSent"])
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> Firefox:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close."""
-        self.close()
 
     def close(self) -> None:
         """End the browser and its screen."""
@@ -119,17 +109,12 @@ class Firefox(Page):
         data = self._call("browsingContext.captureScreenshot", context=self._context)["data"]
         path.write_bytes(base64.b64decode(data))
 
-    def _connect(self, file: Path) -> Any:
-        def address() -> str:
-            if self._process.poll() is not None:
-                raise RoboximError(f"the browser ended with {self._process.returncode}", ErrorCode.UNAVAILABLE)
-            try:
-                found = json.loads(file.read_text())
-            except (OSError, ValueError):  # not there, or not whole yet
-                return ""
-            return f"ws://{found['ws_host']}:{found['ws_port']}/session"
-
-        return connect(wait_for(address, "the browser"), max_size=None, max_queue=None, ping_interval=None)
+    def _address(self) -> str:
+        try:
+            found = json.loads((Path(self._folder.name) / "WebDriverBiDiServer.json").read_text())
+        except (OSError, ValueError):  # not there, or not whole yet
+            return ""
+        return f"ws://{found['ws_host']}:{found['ws_port']}/session"
 
     def _call(self, method: str, **parameters: Any) -> Any:
         answer = self._exchange({"method": method, "params": parameters})

@@ -12,6 +12,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.state import StateRecord
 from roboxim_ros.messages.conversions import from_msg, to_msg
 from roboxim_ros.runs import register_run
+from roboxim_ros.testing import runtime  # noqa: F401
 from roboxim_studio.acting.live import LiveGraph, choose_graph
 from roboxim_studio.app import Studio
 from roboxim_studio.browser import wait_for
@@ -23,18 +24,6 @@ ACTION = [0.01, 0.0, -0.005, 0.0, 0.0, 0.1, 1.0]
 @pytest.fixture
 def graph_parameters():
     return {"sim": {"renderer": "tiny"}, "tasks": {"visible_renderer": "tiny"}}
-
-
-@pytest.fixture
-def runtime(tmp_path, monkeypatch):
-    """Give the test its own registry of runs; restore the environment afterwards."""
-    before = dict(os.environ)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.delenv("ROBOXIM_RUN", raising=False)
-    yield tmp_path
-    for name in set(os.environ) - set(before):
-        del os.environ[name]
-    os.environ.update(before)
 
 
 @pytest.fixture
@@ -121,7 +110,7 @@ def test_the_graphs_tasks_room_draws_what_the_studio_loads(attached):
     assert studio.live.draw() is None
 
 
-def test_the_only_graph_is_chosen_and_other_runs_are_named(runtime):
+def test_the_only_graph_is_chosen_and_other_runs_are_named(runtime):  # noqa: F811
     assert choose_graph() == (None, ())
     with register_run("generate", domain=7, run_id="job"), register_run("up", domain=8, run_id="one"):
         run, others = choose_graph()
