@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -84,12 +84,18 @@ class BenchmarkCard:
 def dimension_sentence(name: str, score: CardDimension) -> str:
     """Return the score of a dimension in words."""
     if score.relative is None:
-        ratio = f"no relative score, since the ratio of {' and '.join(score.refused)} is refused"
+        ratio = f"no relative score, since the ratio of {_listed(score.refused)} is refused"
     else:
         ratio = f"{percent_text(score.relative)} of the baseline"
     beside = f"the baseline has {rate_text(score.baseline)}, a gap of {points_text(score.gap)}"
-    among = f"mean of {' and '.join(score.experiments)}"
+    among = f"mean of {_listed(score.experiments)}"
     return f"{name}: {rate_text(score.absolute)} absolute, {ratio}; {beside}; {among}."
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names in a sentence, e.g. ``a, b and c``."""
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def rate_text(bounds: Bounds) -> str:
