@@ -37,10 +37,17 @@ class Cell:
     """Differences from the skill's default configuration."""
     task: str = ""
     """Task of ``config/tasks`` that the cell uses, if not the skill's default task."""
+    robot: str = ""
+    """Robot that acts; empty: the task's own."""
 
     @property
     def name(self) -> str:
         """Name in tables and files."""
+        return f"{self.robot}/{self.label}" if self.robot else self.label
+
+    @property
+    def label(self) -> str:
+        """Name without the robot."""
         return f"{self.skill}/{self.thing}/{self.clutter}"
 
     def config(self) -> str:
@@ -48,7 +55,8 @@ class Cell:
         plain = yaml.safe_load(task_text(self.task) if self.task else task_text(skill=self.skill))
         cameras = {"reset": {"cameras": {**plain["reset"].get("cameras", {}), "names": ["workspace"]}}}
         clutter = {"distractors": {"minimum": self.clutter, "maximum": self.clutter}}
-        return yaml.safe_dump(merged(merged(merged(plain, cameras), clutter), self.change))
+        robot = {"robot": self.robot} if self.robot else {}
+        return yaml.safe_dump(merged(merged(merged(plain, cameras), clutter), self.change | robot))
 
 
 def cells(clutter: int) -> list[Cell]:

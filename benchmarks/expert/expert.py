@@ -14,6 +14,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from benchmarks.expert._cells import Cell, cells
 from benchmarks.expert._kept import Kept
 from tqdm import tqdm
 
+from roboxim_core.models.library import ModelLibrary
 from roboxim_eval.statistics.rates import success_rate
 from roboxim_runs.executors import Job, LocalExecutor, Lost, Note, Work
 from roboxim_tasks.task_config import VisibleConfig
@@ -40,10 +42,13 @@ def main() -> None:
     options = bench.options
     chosen = [cell for clutter in options.clutter for cell in cells(clutter)]
     if bench.quick:
-        chosen = [cell for cell in chosen if cell.name in QUICK_CELLS]
+        chosen = [cell for cell in chosen if cell.label in QUICK_CELLS]
     if options.cells:
         chosen = [cell for cell in chosen if any(text in cell.name for text in options.cells.split(","))]
     chosen = [cell for cell in chosen if cell.core or not options.core]
+    if options.robot:
+        robots = ModelLibrary().robot_ids if options.robot == "all" else options.robot.split(",")
+        chosen = [replace(cell, robot=robot) for robot in robots for cell in chosen]
     if not chosen:
         raise SystemExit(f"no cell's name contains any of '{options.cells}'; see --list")
     if options.list:
@@ -53,6 +58,10 @@ def main() -> None:
     outcomes = measure({cell.name: cell for cell in chosen}, wanted, options)
     for cell in chosen:
         bench.row(**row(cell, outcomes[cell.name]))
+    for robot in dict.fromkeys(cell.robot for cell in chosen if cell.robot):
+        found = [outcome for cell in chosen if cell.robot == robot for outcome in outcomes[cell.name]]
+        if found:
+            bench.row(**summary(robot, found, reasons=None))
     core = [outcome for cell in chosen if cell.core for outcome in outcomes[cell.name]]
     others = [outcome for cell in chosen if not cell.core for outcome in outcomes[cell.name]]
     together = core + others
@@ -72,6 +81,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="store episodes here and continue from them")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: 1)")
     parser.add_argument("--cells", default="", metavar="TEXT[,TEXT]", help="only cells whose name contains a text")
+    parser.add_argument(
+        "--robot", default="", metavar="NAME[,NAME]", help="arms that act, or all (default: each task's own)"
+    )
     parser.add_argument("--resets", type=int, default=0, metavar="N", help="per cell (default: 200; 40 for rarer ones)")
     parser.add_argument("--core", action="store_true", help="only the cells with the most episodes")
     parser.add_argument("--clutter", type=int, nargs="+", default=[3], metavar="N", help="distractors (default: 3)")
