@@ -115,6 +115,7 @@ robot-visuals: setup ## rebuild the robots' URDFs, SRDFs and meshes from the whe
 	@$(BIN)/python scripts/add_packages.py robots
 	$(BIN)/python config/robots/panda/derive.py
 	$(BIN)/python config/robots/ur5/derive.py
+	for recipe in config/grippers/*/recipe.yaml; do $(BIN)/roboxim robot gripper $$recipe --out config || exit 1; done
 	for recipe in config/robots/*/recipe.yaml; do $(BIN)/roboxim robot new $$recipe --out config || exit 1; done
 
 release: setup ## build the distributions into dist/, install and run them in empty environments; ARGS="--python 3.12"

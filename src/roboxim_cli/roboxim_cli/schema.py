@@ -25,6 +25,7 @@ KINDS = {
     "camera": ("config/cameras", "roboxim_core.vision.cameras:CameraConfig"),
     "object": ("config/objects", "roboxim_core.models.object_config:ObjectConfig"),
     "robot": ("config/robots", "roboxim_core.models.description:RobotModel"),
+    "gripper": ("config/grippers", "roboxim_runs.robots.grippers:Gripper"),
     "convention": ("config/conventions", "roboxim_core.conventions.convention:Convention"),
     "response": ("config/responses", "roboxim_core.conventions.response:ControllerResponse"),
     "experiment": ("config/experiments", "roboxim_eval.experiments.config:ExperimentConfig"),

@@ -54,11 +54,11 @@ class RobotState:
     gripper_command: float
     """Commanded opening, 1 = open, 0 = closed."""
     finger_positions: tuple[float, ...] = ()
-    """Measured finger joint positions [m]."""
+    """Measured positions of the fingers' driven joints [m, or rad of fingers that turn]."""
     joint_efforts: tuple[float, ...] = ()
     """Torque of each arm motor in the tick's last physics step [N m]."""
     finger_velocities: tuple[float, ...] = ()
-    """Measured finger joint velocities [m/s]."""
+    """Their velocities [m/s or rad/s]."""
     finger_efforts: tuple[float, ...] = ()
     """Force of each finger motor in the tick's last physics step [N]."""
 

@@ -37,6 +37,7 @@ def named(name):
         ("camera_object", {"camera and target": NEW_COMBINATION}),
         ("camera_skill", {"task and camera": NEW_COMBINATION}),
         ("embodiment", {"task and arm": NEW_COMBINATION}),
+        ("gripper", {"task and gripper": NEW_COMBINATION}),
         ("length", {"first and length": NEW_COMBINATION}),
         ("camera_skill_objects", {"task and camera": NEW_COMBINATION}),
         (

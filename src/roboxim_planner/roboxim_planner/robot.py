@@ -84,9 +84,8 @@ class PlannerRobot:
         self._joint_ids = [self.model.getJointId(name) for name in robot.joint_names]
         self.arm_indices = np.array([self.model.joints[i].idx_q for i in self._joint_ids])
         """Indices of the arm's joints in Pinocchio's configurations."""
-        self._finger_q = np.array(
-            [self.model.joints[self.model.getJointId(n)].idx_q for n in robot.gripper.joint_names], dtype=int
-        )
+        fingers = (*robot.gripper.joint_names, *(follower.name for follower in robot.gripper.followers))
+        self._finger_q = np.array([self.model.joints[self.model.getJointId(n)].idx_q for n in fingers], dtype=int)
         self.tcp_frame = self.model.getFrameId(robot.tcp_link)
         self.links = self.kinematics.link_names
         self.lower = np.array(robot.limits.lower)
@@ -224,7 +223,9 @@ class PlannerRobot:
         arm = np.asarray(joints, dtype=float)
         q = np.tile(pin.neutral(self.model), (*arm.shape[:-1], 1))
         q[..., self.arm_indices] = arm
-        q[..., self._finger_q] = opening * self.description.gripper.max_opening_m / 2
+        gripper = self.description.gripper
+        driven = (gripper.driven(opening),) * len(gripper.joint_names)
+        q[..., self._finger_q] = (*driven, *gripper.followed(driven))
         return q
 
     def fk(self, joints: npt.ArrayLike, link: str = "") -> Pose:

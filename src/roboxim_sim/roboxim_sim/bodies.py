@@ -1,4 +1,4 @@
-"""The robot, the objects and the table as PyBullet bodies, built from the shared models.
+"""The objects and the table as PyBullet bodies, built from the shared models.
 
 The constants below were tuned together for grasps that hold at 240 Hz; each comes with its reason. The bodies have no
 visual shapes: the renderers have their own meshes, and loading visual shapes would take most of a reset.
@@ -6,8 +6,6 @@ visual shapes: the renderers have their own meshes, and loading visual shapes wo
 
 from __future__ import annotations
 
-import math
-import re
 import tempfile
 from collections.abc import Sequence
 from functools import lru_cache
@@ -17,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roboxim_core.errors import ConfigError, ErrorCode, SimError
-from roboxim_core.models.description import JointModel, LinkModel, ObjectModel, RobotModel, Shape
+from roboxim_core.models.description import JointModel, LinkModel, ObjectModel, Shape
 from roboxim_core.models.visuals import FLOOR_Z
 from roboxim_core.poses import IDENTITY, Pose
-from roboxim_core.specs import EntitySpec, RobotSpec, TableSpec
+from roboxim_core.specs import EntitySpec, TableSpec
 from roboxim_core.state import EntityState
 from roboxim_sim.bullet import BulletClient, pybullet
 
@@ -29,20 +27,8 @@ if TYPE_CHECKING:
 
 SOLVER_ITERATIONS = 50
 """More iterations or a higher physics rate gain nothing measurable."""
-FINGER_GAIN = 0.05
-"""Position gain of the fingers: soft enough not to bounce off a hard object."""
-FINGER_FRICTION, FINGER_SPINNING = 1.0, 0.1
-FINGER_STIFFNESS, FINGER_DAMPING = 3e4, 1e3
-GEAR_ERP, GEAR_FORCE_N = 0.1, 50.0
-"""The fingers are coupled by a gear constraint; without it a held object drifts by up to 2 cm."""
-CONTACT_TURN_RAD = 0.05
-"""Rotation of the hand [rad] after which one finger's contact points are renewed; see `RobotBody.renew_contacts`."""
 SPRING_GAIN = 0.1
 """Position gain of a joint that springs back: it returns within about 0.1 s without bouncing."""
-
-_COSINE_OF_CONTACT_TURN = math.cos(CONTACT_TURN_RAD / 2)
-_FILTER_OF_LINKS = (1, -1)
-"""Group and mask that PyBullet gives the moving links of a URDF."""
 
 
 def configure(client: BulletClient, rate_hz: float) -> None:
@@ -74,131 +60,6 @@ def build_table(client: BulletClient, table: TableSpec) -> dict[int, str]:
     for body in (top, floor):
         client.changeDynamics(body, -1, lateralFriction=table.friction, restitution=0.0)
     return {top: "table", floor: "floor"}
-
-
-class RobotBody:
-    """The robot in PyBullet, with its motors."""
-
-    def __init__(self, client: BulletClient, model: RobotModel, spec: RobotSpec, joints: Sequence[float]) -> None:
-        """Load the robot at the given joint positions.
-
-        Args:
-            client: PyBullet client.
-            model: The robot.
-            spec: Base pose and gripper opening.
-            joints: Arm joint positions [rad].
-
-        Raises:
-            SimError: When PyBullet cannot load the URDF.
-        """
-        self._client, self._model = client, model
-        try:
-            self.id = client.loadURDF(
-                str(_physics_urdf(model.urdf)),
-                spec.pose.position,
-                spec.pose.quat_xyzw,
-                useFixedBase=True,
-                flags=pybullet.URDF_IGNORE_VISUAL_SHAPES | pybullet.URDF_USE_INERTIA_FROM_FILE,
-            )
-        except pybullet.error as error:
-            raise SimError(f"PyBullet cannot load {model.urdf}: {error}") from None
-        index, self.link_names = {}, {-1: ""}
-        for number in range(client.getNumJoints(self.id)):
-            info = client.getJointInfo(self.id, number)
-            index[info[1].decode()] = number
-            self.link_names[number] = info[12].decode()
-        self.arm = [index[name] for name in model.joint_names]
-        self.fingers = [index[name] for name in model.gripper.joint_names]
-        for number, position in zip(self.arm, joints, strict=True):
-            client.resetJointState(self.id, number, position)
-        for number in self.fingers:
-            travel = spec.gripper_opening * model.gripper.max_opening_m / 2
-            client.resetJointState(self.id, number, travel)
-            client.changeDynamics(
-                self.id,
-                number,
-                lateralFriction=FINGER_FRICTION,
-                spinningFriction=FINGER_SPINNING,
-                frictionAnchor=1,
-                contactStiffness=FINGER_STIFFNESS,
-                contactDamping=FINGER_DAMPING,
-            )
-        self._couple_fingers()
-        self._turn_of_contacts = self._finger_rotation()
-        self._next_finger = 0
-        self._gains = [model.position_gain] * len(self.arm)
-        self._damping = [1.0] * len(self.arm)
-
-    def drive_arm(self, positions: Sequence[float], velocities: Sequence[float]) -> None:
-        """Set the arm's target positions [rad] and velocities [rad/s] for the next physics step."""
-        self._client.setJointMotorControlArray(
-            self.id,
-            self.arm,
-            pybullet.POSITION_CONTROL,
-            targetPositions=positions,
-            targetVelocities=velocities,
-            forces=self._model.motor_force,
-            positionGains=self._gains,
-            velocityGains=self._damping,
-        )
-
-    def drive_gripper(self, opening: float, force_n: float | None = None) -> None:
-        """Set the fingers' target opening.
-
-        Args:
-            opening: 1 = open, 0 = closed.
-            force_n: Maximum force of each finger [N]; none: the model's.
-        """
-        gripper = self._model.gripper
-        for number in self.fingers:
-            self._client.setJointMotorControl2(
-                self.id,
-                number,
-                pybullet.POSITION_CONTROL,
-                targetPosition=opening * gripper.max_opening_m / 2,
-                force=gripper.force_n if force_n is None else force_n,
-                positionGain=FINGER_GAIN,
-            )
-
-    def renew_contacts(self) -> None:
-        """Renew the contact points of one finger if the hand has rotated. Call after each physics step.
-
-        A friction anchor keeps a contact point until it slips, and with it the point's initial normal in the world.
-        When the hand rotates with a held object, these normals become wrong: after half a turn they hold the fingers
-        closed. Re-inserting a finger's broad-phase proxy drops its contact points. The fingers alternate, so that
-        the other finger's anchors carry the object meanwhile.
-        """
-        now = self._finger_rotation()
-        cosine = abs(sum(a * b for a, b in zip(now, self._turn_of_contacts, strict=True)))  # cosine of half the angle
-        if cosine >= _COSINE_OF_CONTACT_TURN:
-            return
-        self._client.setCollisionFilterGroupMask(self.id, self.fingers[self._next_finger], *_FILTER_OF_LINKS)
-        self._turn_of_contacts = now
-        self._next_finger = 1 - self._next_finger
-
-    def read_joints(self) -> tuple[list[float], list[float], list[float]]:
-        """Return positions, velocities and last motor efforts of the joints: the arm's first, then the fingers'."""
-        states = self._client.getJointStates(self.id, self.arm + self.fingers)
-        return [s[0] for s in states], [s[1] for s in states], [s[3] for s in states]
-
-    def _finger_rotation(self) -> tuple[float, ...]:
-        """Return the first finger's rotation in the world as a quaternion: the hand's, since the fingers only slide."""
-        rotation: tuple[float, ...] = self._client.getLinkState(self.id, self.fingers[0])[1]
-        return rotation
-
-    def _couple_fingers(self) -> None:
-        first, second = self.fingers
-        gear = self._client.createConstraint(
-            self.id,
-            first,
-            self.id,
-            second,
-            pybullet.JOINT_GEAR,
-            jointAxis=[1, 0, 0],
-            parentFramePosition=[0, 0, 0],
-            childFramePosition=[0, 0, 0],
-        )
-        self._client.changeConstraint(gear, gearRatio=-1, erp=GEAR_ERP, maxForce=GEAR_FORCE_N)
 
 
 class ObjectBody:
@@ -326,17 +187,6 @@ class ObjectBody:
             self._client.setJointMotorControl2(
                 self.id, number, pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=joint.resistance
             )
-
-
-@lru_cache(maxsize=8)
-def _physics_urdf(urdf: Path) -> Path:
-    """Write a copy of a URDF for PyBullet: without visuals (it rejects GLB) and with absolute mesh paths."""
-    text = re.sub(r"\s*<visual>.*?</visual>", "", urdf.read_text(), flags=re.S)
-    folder = tempfile.TemporaryDirectory(prefix="roboxim-urdf-")
-    _KEPT.append(folder)
-    copy = Path(folder.name) / urdf.name
-    copy.write_text(text.replace("package://", f"{urdf.parent.parent}/"))
-    return copy
 
 
 _KEPT: list[tempfile.TemporaryDirectory[str]] = []

@@ -14,9 +14,10 @@ from roboxim_core.kinematics import ArmKinematics, ControllerState
 from roboxim_core.models.description import ObjectModel, RobotModel
 from roboxim_core.specs import EntitySpec, SceneSpec
 from roboxim_core.state import StateRecord
-from roboxim_sim.bodies import ObjectBody, RobotBody, build_table, configure
+from roboxim_sim.bodies import ObjectBody, build_table, configure
 from roboxim_sim.bullet import BulletClient
 from roboxim_sim.readout import TickObserver, hash_state, read_robot
+from roboxim_sim.robot_body import RobotBody
 
 
 class Physics:
@@ -88,7 +89,7 @@ class Physics:
         for target in targets:
             self.robot.drive_arm(target, velocities)
             self.client.stepSimulation()
-            self.robot.renew_contacts()
+            self.robot.after_step()
             self._observer.after_step()
 
     def read(

@@ -8,8 +8,9 @@ from roboxim_core.kinematics import ArmKinematics, ControllerState
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.state import Contact, EntityState, RobotState, hash_floats
-from roboxim_sim.bodies import ObjectBody, RobotBody
+from roboxim_sim.bodies import ObjectBody
 from roboxim_sim.bullet import BulletClient
+from roboxim_sim.robot_body import RobotBody
 
 _Pair = tuple[str, str, str, str]
 
@@ -144,12 +145,12 @@ def read_robot(
         joint_commands=command.joints,
         pose_tcp_measured=measured if base == IDENTITY else base @ measured,
         pose_tcp_commanded=command.pose if base == IDENTITY else base @ command.pose,
-        gripper_opening=min(1.0, max(0.0, sum(fingers) / model.gripper.max_opening_m)),
+        gripper_opening=model.gripper.opening(fingers),
         gripper_command=command.gripper,
         finger_positions=fingers,
         joint_efforts=tuple(efforts[:count]),
         finger_velocities=tuple(velocities[count:]),
-        finger_efforts=tuple(efforts[count:]),
+        finger_efforts=tuple(effort / model.gripper.arm_m for effort in efforts[count:]),
     )
     return state, positions + velocities
 

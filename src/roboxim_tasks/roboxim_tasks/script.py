@@ -124,10 +124,12 @@ class Script:
         x, y, z = (a + b for a, b in zip(self.pose.position, vector, strict=True))
         self.move(Pose(position=(x, y, z), quat_xyzw=self.pose.quat_xyzw), name=name, speed=speed, touching=touching)
 
-    def grip(self, opening: float, *, name: str, duration_s: float = GRIP_S) -> None:
+    def grip(self, opening: float, *, name: str) -> None:
         """Move the fingers and wait for them."""
+        gripper, change = self.scene.robot.gripper, abs(opening - self.opening)
+        way_s = change * gripper.max_opening_m / 2 / gripper.speed_m_s if gripper.keeps_speed else 0.0
         self.opening = opening
-        self._add(Stage(name=name, duration_s=duration_s))
+        self._add(Stage(name=name, duration_s=GRIP_S + way_s))
 
     def wait(self, duration_s: float, *, name: str = "hold") -> None:
         """Stay."""

@@ -59,6 +59,24 @@ def new(source: Path, name: str, out: Path, **given: Any) -> None:
     click.echo(f"next: ROBOXIM_CONFIG_PATH={out} roboxim robot check {recipe.name}")
 
 
+@command.command("gripper")
+@click.argument("recipe", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@option("out", default="config", help="Configuration folder; the gripper goes to OUT/grippers.")
+def gripper(recipe: Path, out: Path) -> None:
+    r"""Make a gripper from a RECIPE (YAML) that names its URDF, to be mounted on arms by `robot new`.
+
+    \b
+    roboxim robot gripper config/grippers/robotiq_2f85/recipe.yaml --out config
+    """
+    from roboxim_core.config import load_config
+    from roboxim_runs.robots.gripper_derivation import GripperRecipe, derive_gripper
+
+    file = derive_gripper(
+        load_config(recipe, GripperRecipe), out / "grippers", folder=recipe.resolve().parent, say=click.echo
+    )
+    click.echo(f"wrote {file} and {file.with_suffix('')}/")
+
+
 @command.command("check")
 @click.argument("robot", type=Named("robot"))
 @click.option("--reach", type=click.Path(path_type=Path, dir_okay=False), help="Draw the reach map into this file.")

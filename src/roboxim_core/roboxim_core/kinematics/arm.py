@@ -59,11 +59,12 @@ class ArmKinematics:
         self._pin = pin.buildModelFromUrdf(str(model.urdf))
         self._data = self._pin.createData()
         self._q = pin.neutral(self._pin)
-        for name in (*model.joint_names, *model.gripper.joint_names):
+        followers = [follower.name for follower in model.gripper.followers]
+        for name in (*model.joint_names, *model.gripper.joint_names, *followers):
             if not self._pin.existJointName(name):
                 raise ConfigError(f"{model.urdf} has no joint '{name}'; {one_of(self._pin.names, name)}")
-        self._arm = np.array([self._pin.joints[self._pin.getJointId(n)].idx_q for n in model.joint_names])
-        self._fingers = np.array([self._pin.joints[self._pin.getJointId(n)].idx_q for n in model.gripper.joint_names])
+        self._arm = self._places(model.joint_names)
+        self._fingers, self._followers = self._places(model.gripper.joint_names), self._places(followers)
         self._frames = {
             frame.name: index for index, frame in enumerate(self._pin.frames) if frame.type == pin.FrameType.BODY
         }
@@ -96,11 +97,15 @@ class ArmKinematics:
 
         Args:
             joints: Arm joint positions, shape (n,) [rad].
-            fingers: Finger joint positions [m]; empty: closed.
+            fingers: Positions of the fingers' driven joints [m or rad]; empty: closed.
         """
         import pinocchio as pin
 
-        self._q[self._fingers] = fingers if len(fingers) else 0.0
+        gripper = self.model.gripper
+        driven = fingers if len(fingers) else (gripper.driven(0.0),) * len(gripper.joint_names)
+        self._q[self._fingers] = driven
+        if gripper.followers:
+            self._q[self._followers] = gripper.followed(driven)
         self._q[self._arm] = joints
         pin.framesForwardKinematics(self._pin, self._data, self._q)
         return {name: _pose(self._data.oMf[index]) for name, index in self._frames.items()}
@@ -185,6 +190,10 @@ class ArmKinematics:
             position_error_m=position_error_m,
             rotation_error_rad=rotation_error_rad,
         )
+
+    def _places(self, names: Sequence[str]) -> npt.NDArray[np.int64]:
+        """Return the indices of joints in Pinocchio's configurations."""
+        return np.array([self._pin.joints[self._pin.getJointId(name)].idx_q for name in names], dtype=int)
 
     def _place(self, joints: npt.ArrayLike) -> pin.SE3:
         import pinocchio as pin

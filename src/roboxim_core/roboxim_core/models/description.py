@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+
+import numpy as np
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.poses import IDENTITY, Pose, Vec3
@@ -232,19 +236,93 @@ class ObjectModel(ObjectNotes):
 
 
 @dataclass(frozen=True, kw_only=True)
+class FollowerJoint:
+    """A joint of a finger that moves in a fixed ratio with a driven one: ``<mimic>`` of a URDF."""
+
+    name: str
+    """Name."""
+    leader: str
+    """Driven joint, of `GripperModel.joint_names`."""
+    ratio: float
+    """Its position per position of the leader."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class GripperModel:
-    """A parallel gripper with one opening."""
+    """A gripper with two fingers that move alike, and one opening."""
 
     joint_names: tuple[str, ...]
-    """Finger joints; each is at ``opening * max / 2`` metres."""
+    """The driven joint of each finger; both have the same position."""
     max_opening_m: float
     """Total opening when fully open [m]."""
     force_n: float
-    """Force of each finger [N]."""
+    """Force of each finger where it holds an object [N]."""
     speed_m_s: float
     """Speed of each finger [m/s]."""
+    keeps_speed: bool = False
+    """Whether the simulated motors keep to `speed_m_s`. Those of the Franka hand are faster, as in all its episodes."""
     links: tuple[str, ...] = ()
-    """Links of the hand and the fingers, which may touch a held object; the hand comes first."""
+    """Links that may touch a held object: the hand, the two finger tips, and what else moves with the fingers."""
+    followers: tuple[FollowerJoint, ...] = ()
+    """Further joints of the fingers, e.g. those that keep the finger tips parallel."""
+    opening_map: tuple[tuple[float, float], ...] = ()
+    """Total opening [m] and position of a driven joint [m or rad], from closed to open; linear in between. Empty:
+    fingers that slide, each by half of the opening."""
+    arm_m: float = 1.0
+    """Torque of a driven joint per force of its finger [m]; 1: fingers that slide."""
+
+    def __post_init__(self) -> None:
+        """Check that followers have leaders and that the map is one.
+
+        Raises:
+            ConfigError: Naming the entry.
+        """
+        for follower in self.followers:
+            if follower.leader not in self.joint_names:
+                raise ConfigError(
+                    f"gripper: follower '{follower.name}': no driven joint '{follower.leader}'; "
+                    f"expected one of {', '.join(self.joint_names)}"
+                )
+        openings, positions = [row[0] for row in self.opening_map], [row[1] for row in self.opening_map]
+        if openings and (len(openings) < 2 or any(b <= a for a, b in itertools.pairwise(openings))):
+            raise ConfigError("gripper: opening_map: expected two or more rows with rising openings")
+        if not _one_way(positions):
+            raise ConfigError("gripper: opening_map: joint positions must rise or fall throughout")
+        if openings and abs(openings[-1] - self.max_opening_m) > 1e-6:
+            raise ConfigError(f"gripper: opening_map ends at {openings[-1]} m, not at max_opening_m")
+
+    def driven(self, opening: float) -> float:
+        """Return the position of each driven joint [m or rad] at an opening, 0 = closed, 1 = open."""
+        if not self.opening_map:
+            return opening * self.max_opening_m / 2
+        openings, positions = zip(*self.opening_map, strict=True)
+        return float(np.interp(opening * self.max_opening_m, openings, positions))
+
+    def opening(self, positions: Sequence[float]) -> float:
+        """Return the opening, 0 = closed, 1 = open, at positions of the driven joints [m or rad]."""
+        total = sum(positions)
+        if self.opening_map:
+            openings, places = zip(*sorted(self.opening_map, key=lambda row: row[1]), strict=True)
+            total = float(np.interp(total / len(positions), places, openings))
+        return min(1.0, max(0.0, total / self.max_opening_m))
+
+    def followed(self, positions: Sequence[float]) -> tuple[float, ...]:
+        """Return the positions of the followers, given those of the driven joints [m or rad]."""
+        leaders = dict(zip(self.joint_names, positions, strict=True))
+        return tuple(follower.ratio * leaders[follower.leader] for follower in self.followers)
+
+    @property
+    def lever(self) -> float:
+        """Mean travel of a finger tip per position of its driven joint: 1 if it slides, else [m/rad]."""
+        if not self.opening_map:
+            return 1.0
+        (closed, first), (opened, last) = self.opening_map[0], self.opening_map[-1]
+        return (opened - closed) / 2 / abs(last - first)
+
+
+def _one_way(values: Sequence[float]) -> bool:
+    steps = [b - a for a, b in itertools.pairwise(values)]
+    return all(step > 0 for step in steps) or all(step < 0 for step in steps)
 
 
 @dataclass(frozen=True, kw_only=True)

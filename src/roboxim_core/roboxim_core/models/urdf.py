@@ -75,7 +75,7 @@ def urdf_root(path: Path) -> ElementTree.Element:
         ConfigError: When the file cannot be read, is not XML, or is a xacro that is not expanded.
     """
     try:
-        root = ElementTree.parse(path).getroot()
+        root = _parsed(path.read_bytes())
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from None
     except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:  # the last three: the encoding
@@ -88,6 +88,19 @@ def urdf_root(path: Path) -> ElementTree.Element:
                 f"expand it: xacro {path.name} > {path.stem.removesuffix('.urdf')}.expanded.urdf"
             )
     return root
+
+
+def _parsed(text: bytes) -> ElementTree.Element:
+    """Parse XML in which names may have an undeclared prefix, such as ``drake:``, as ROS's own reader does."""
+    try:
+        return ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        if "unbound prefix" not in str(error):
+            raise
+    used = re.findall(rb"(?:<|\s)([A-Za-z]\w*):\w+(?=[^<>]*>)", text)
+    prefixes = sorted(set(used) - set(re.findall(rb"xmlns:(\w+)", text)) - {b"xmlns", b"xml"})
+    declared = b"".join(b' xmlns:%s="%s"' % (prefix, prefix) for prefix in prefixes)
+    return ElementTree.fromstring(re.sub(rb"<robot\b", b"<robot" + declared, text, count=1))
 
 
 def mesh_path(name: str, urdf: Path) -> Path:

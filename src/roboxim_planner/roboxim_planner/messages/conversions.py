@@ -75,7 +75,8 @@ def joints_from_msg(msg: JointState, robot: RobotModel, *, what: str) -> Array:
     if len(names) != len(positions) or len(set(names)) != len(names):
         raise InvalidRequestError(f"{what}: needs one position per name, each name once; got {len(names)} names "
                                   f"and {len(positions)} positions")  # fmt: skip
-    known = (*robot.joint_names, *robot.gripper.joint_names)
+    followers = (follower.name for follower in robot.gripper.followers)
+    known = (*robot.joint_names, *robot.gripper.joint_names, *followers)
     for name in names:
         if name not in known:
             raise InvalidRequestError(f"{what}: robot '{robot.id}' has no joint '{name}'; {one_of(known, name)}")

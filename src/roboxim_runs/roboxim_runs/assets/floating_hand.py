@@ -11,7 +11,7 @@ from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.description import GraspAnnotation, ObjectModel
 from roboxim_core.poses import Pose, distance
 from roboxim_core.specs import EntitySpec, TableSpec
-from roboxim_sim import bodies
+from roboxim_sim import bodies, robot_body
 from roboxim_sim.bullet import BulletClient
 
 HAND_TO_TCP_M = 0.1034
@@ -86,16 +86,16 @@ class FloatingHand:
             client.changeDynamics(
                 self.id,
                 number,
-                lateralFriction=bodies.FINGER_FRICTION,
-                spinningFriction=bodies.FINGER_SPINNING,
+                lateralFriction=robot_body.FINGER_FRICTION,
+                spinningFriction=robot_body.FINGER_SPINNING,
                 frictionAnchor=1,
-                contactStiffness=bodies.FINGER_STIFFNESS,
-                contactDamping=bodies.FINGER_DAMPING,
+                contactStiffness=robot_body.FINGER_STIFFNESS,
+                contactDamping=robot_body.FINGER_DAMPING,
                 jointLowerLimit=0.0,
                 jointUpperLimit=0.04,
             )
         gear = client.createConstraint(self.id, 0, self.id, 1, pybullet.JOINT_GEAR, [1, 0, 0], [0, 0, 0], [0, 0, 0])
-        client.changeConstraint(gear, gearRatio=-1, erp=bodies.GEAR_ERP, maxForce=bodies.GEAR_FORCE_N)
+        client.changeConstraint(gear, gearRatio=-1, erp=robot_body.GEAR_ERP, maxForce=robot_body.GEAR_FORCE_N)
 
     def inside(self, body: int) -> str:
         """Return the part of the hand that is inside a body; empty: none is."""
@@ -121,7 +121,7 @@ class FloatingHand:
             for number in (0, 1):
                 self.client.setJointMotorControl2(
                     self.id, number, pybullet.POSITION_CONTROL, targetPosition=opening_m / 2, force=FORCE_N,
-                    positionGain=bodies.FINGER_GAIN,
+                    positionGain=robot_body.FINGER_GAIN,
                 )  # fmt: skip
             self.client.stepSimulation()
 

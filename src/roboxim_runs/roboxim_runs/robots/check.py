@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,16 +17,18 @@ from roboxim_core.errors import PlannerError, RoboximError
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.description import RobotModel
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.poses import Pose, Vec3
+from roboxim_core.poses import Pose, Vec3, distance
 from roboxim_core.rotation.quaternions import Quat
-from roboxim_core.specs import RobotSpec
+from roboxim_core.specs import EntitySpec, RobotSpec, SceneSpec
+from roboxim_core.state import StateRecord
 from roboxim_planner.collisions.checker import CollisionWorld
 from roboxim_planner.ik import IkSolver
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
 from roboxim_runs.robots.home import TOOL_DOWN
-from roboxim_sim.bodies import RobotBody
 from roboxim_sim.bullet import BulletClient
+from roboxim_sim.robot_body import RobotBody
+from roboxim_sim.world import World
 
 Array = npt.NDArray[np.float64]
 STATES = 200
@@ -37,6 +40,8 @@ STEP_M = 0.05
 HEIGHT_M = 0.15
 """Height of the TCP above the table in the reach map [m]."""
 EPISODES = 5
+CUBE, TICK_M, ROCKS, HELD_M = "cube", 0.02, 8, 0.006
+"""The object to hold, the way of a tick [m], turns of 0.36 rad about x, and how far it may move in the fingers [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,13 +65,15 @@ def prove(robot: str, *, episodes: int = EPISODES, library: ModelLibrary | None 
     Raises:
         ConfigError: When its files are missing or invalid.
     """
-    model = (library or ModelLibrary()).robot(robot)
+    library = library or ModelLibrary()
+    model = library.robot(robot)
     checks: tuple[tuple[str, Callable[[RobotModel], tuple[bool, str]]], ...] = (
         ("limits", _limits),
         ("kinematics", _kinematics),
         ("home", _home),
         ("self-collision", _self_collision),
         ("gripper", _gripper),
+        ("holds a cube", partial(_holds, library=library)),
         ("reach", _reach),
         ("picks up a cube", partial(_skill, episodes=episodes)),
     )
@@ -139,15 +146,52 @@ def _self_collision(model: RobotModel) -> tuple[bool, str]:
 def _gripper(model: RobotModel) -> tuple[bool, str]:
     tool = model.gripper
     kinematics = ArmKinematics(model)
-    poses = [kinematics.link_poses(model.home, [q] * len(tool.joint_names)) for q in (0.0, tool.max_opening_m / 2)]
-    apart = [
-        float(np.linalg.norm(np.subtract(found[tool.links[1]].position, found[tool.links[-1]].position)))
-        for found in poses
-    ]
-    moved = apart[1] - apart[0]
-    return abs(moved - tool.max_opening_m) < 1e-3, (
-        f"fingers open by {1000 * moved:.1f} mm, max_opening_m says {1000 * tool.max_opening_m:.1f} mm"
+    apart = []
+    for opening in (0.0, 1.0):
+        poses = kinematics.link_poses(model.home, [tool.driven(opening)] * len(tool.joint_names))
+        left, right = (poses[link].position for link in tool.links[1:3])
+        apart.append(float(np.linalg.norm(np.subtract(left, right))))
+    moved, stated = apart[1] - apart[0], tool.max_opening_m - (tool.opening_map[0][0] if tool.opening_map else 0.0)
+    return abs(moved - stated) < 1e-3, (
+        f"finger tips part by {1000 * moved:.1f} mm, the opening says {1000 * stated:.1f} mm"
     )
+
+
+def _holds(model: RobotModel, *, library: ModelLibrary) -> tuple[bool, str]:
+    """Close on a cube below the tool, lift it, rock it, and measure how far it moves in the gripper."""
+    x, y, z = ArmKinematics(model).fk(model.home).position
+    height = library.object(CUBE).rest_height
+    cube = EntitySpec(name=CUBE, model=CUBE, pose=Pose(position=(x, y, height)))
+    with World(library) as world:
+        world.load(SceneSpec(robot=RobotSpec(model=model.id), entities=(cube,)))
+        down = math.ceil((z - height) / TICK_M)
+        for _ in range(down):
+            _tick(world, dz=(height - z) / down, opening=1.0)
+        for _ in range(15):
+            _tick(world)
+        before = _in_tool(world.record)
+        for _ in range(10):
+            _tick(world, dz=TICK_M)
+        for k in range(ROCKS):
+            for _ in range(3):
+                _tick(world, roll=0.12 if k % 2 else -0.12)
+        record = world.record
+    off, turned = distance(before, _in_tool(record))
+    touching = any(contact.force_last > 1.0 for contact in record.contacts if CUBE in (contact.body_a, contact.body_b))
+    held = touching and off < HELD_M
+    return (
+        held,
+        f"lifted and rocked, a cube moves by {1000 * off:.1f} mm and {turned:.2f} rad in the fingers"
+        + ("" if held else f"; expected less than {1000 * HELD_M:.0f} mm: check force, finger tips and their shapes"),
+    )
+
+
+def _tick(world: World, *, dz: float = 0.0, roll: float = 0.0, opening: float = 0.0) -> None:
+    world.tick(world.record.seq + 1, np.array([0.0, 0.0, dz, roll, 0.0, 0.0, opening], np.float32))
+
+
+def _in_tool(record: StateRecord) -> Pose:
+    return record.robot.pose_tcp_measured.inverse() @ record.entities[0].pose
 
 
 def reach_map(model: RobotModel) -> tuple[Array, Array, npt.NDArray[np.bool_]]:

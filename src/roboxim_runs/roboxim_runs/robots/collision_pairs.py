@@ -14,29 +14,47 @@ OFTEN = 0.95
 """Fraction of the samples from which a pair counts as always in contact."""
 
 
-def srdf_text(name: str, urdf: Path, *, samples: int = SAMPLES, seed: int = 0) -> str:
+def srdf_text(
+    name: str, urdf: Path, *, together: frozenset[str] = frozenset(), samples: int = SAMPLES, seed: int = 0
+) -> str:
     """Return an SRDF that disables adjacent links, and pairs that touch in no or almost every sampled state.
 
     Args:
         name: Name of the robot.
         urdf: Its URDF; meshes are ``package://NAME/...`` beside its folder.
+        together: Links of the gripper, whose mechanism keeps them off each other.
         samples: Number of states, uniform within the joint limits.
         seed: Seed of the states.
     """
     model = pin.buildModelFromUrdf(str(urdf))
     geometry = pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.COLLISION, package_dirs=[str(urdf.parents[1])])
     geometry.addAllCollisionPairs()
+    for pair in list(geometry.collisionPairs):
+        links = {model.frames[geometry.geometryObjects[k].parentFrame].name for k in (pair.first, pair.second)}
+        if together.issuperset(links):
+            geometry.removeCollisionPair(pair)
     data, placed = model.createData(), geometry.createData()
-    link = [model.frames[item.parentFrame].name for item in geometry.geometryObjects]
+    items = geometry.geometryObjects
+    link = [model.frames[item.parentFrame].name for item in items]
+    for item in items:
+        item.geometry.computeLocalAABB()
+    centers, radii = (
+        [item.geometry.aabb_center for item in items],
+        np.array([item.geometry.aabb_radius for item in items]),
+    )
+    first, second = np.array([(pair.first, pair.second) for pair in geometry.collisionPairs]).T
     hits: Counter[tuple[str, str]] = Counter()
     rng = np.random.default_rng(seed)
     for q in rng.uniform(model.lowerPositionLimit, model.upperPositionLimit, (samples, model.nq)):
-        pin.computeCollisions(model, data, geometry, placed, q, False)
+        pin.forwardKinematics(model, data, q)
+        pin.updateGeometryPlacements(model, data, geometry, placed)
+        at = np.array([placed.oMg[k].act(center) for k, center in enumerate(centers)])
+        near = np.linalg.norm(at[first] - at[second], axis=1) <= radii[first] + radii[second]
         hits.update(
             {
-                _pair(link[pair.first], link[pair.second])
-                for k, pair in enumerate(geometry.collisionPairs)
-                if placed.collisionResults[k].isCollision()
+                _pair(link[first[k]], link[second[k]])
+                for k in np.flatnonzero(near).tolist()
+                if pin.computeCollision(geometry, placed, k)
             }
         )
     adjacent = _adjacent(model, set(link))
@@ -45,6 +63,8 @@ def srdf_text(name: str, urdf: Path, *, samples: int = SAMPLES, seed: int = 0) -
         reason = ""
         if pair in adjacent:
             reason = "Adjacent"
+        elif together.issuperset(pair):
+            reason = "User"
         elif hits[pair] == 0:
             reason = "Never"
         elif hits[pair] >= OFTEN * samples:

@@ -12,32 +12,30 @@ import math
 import re
 import shutil
 from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import numpy as np
-import trimesh
 import yaml
+from scipy.spatial.transform import Rotation
 
+from roboxim_core.config import named_config
 from roboxim_core.errors import ConfigError
-from roboxim_core.models.urdf import mesh_path, urdf_root
+from roboxim_core.models.description import RobotModel
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.urdf import origin_pose, urdf_root
+from roboxim_core.poses import Pose
 from roboxim_runs.robots.collision_pairs import srdf_text
-from roboxim_runs.robots.convex_parts import convex_parts
-from roboxim_runs.robots.decimation import Color, visual
-from roboxim_runs.robots.grippers import gripper, mounted
-from roboxim_runs.robots.home import home_of
+from roboxim_runs.robots.gripper_derivation import plain
+from roboxim_runs.robots.grippers import Gripper, below, gripper, mounted
+from roboxim_runs.robots.home import home_of, same_place
+from roboxim_runs.robots.link_meshes import LinkMeshes
 from roboxim_runs.robots.recipe import NAME_PATTERN, RobotRecipe, source_file, spread
 
 Element = ElementTree.Element
 MOVING = ("revolute", "continuous", "prismatic")
-MIN_GAIN = 0.03
-"""Fraction of a link's hull that a further convex part must save."""
-MAX_PARTS = 8
-WELD_M = 0.001
-"""Detail of visual meshes that is dropped [m]."""
-GREY: Color = (190, 192, 196)
-"""Colour of a mesh that neither its file nor the URDF gives one."""
+ACCELERATIONS = "accelerations are the recipe's, the other limits the URDF's"
 JERK_TIME_S = 0.05
 """Time in which an acceleration is reached when no jerk is given [s]."""
 
@@ -59,8 +57,11 @@ def derive(recipe: RobotRecipe, out: Path, *, folder: Path | None = None, say: C
     """
     if not re.fullmatch(NAME_PATTERN, recipe.name):
         raise ConfigError(f"name '{recipe.name}': expected lower-case letters, digits and _, a letter first")
-    source = source_file(recipe.urdf, folder or Path.cwd())
-    arm = Arm(expanded(source), source, recipe)
+    if recipe.arm:
+        arm: Arm = ShippedArm(recipe)
+    else:
+        source = source_file(recipe.urdf, folder or Path.cwd())
+        arm = Arm(expanded(source), source, recipe)
     target, scratch = out / recipe.name, out / f".{recipe.name}.new"
     shutil.rmtree(scratch, ignore_errors=True)
     inside = scratch / "robots" / recipe.name
@@ -73,21 +74,23 @@ def derive(recipe: RobotRecipe, out: Path, *, folder: Path | None = None, say: C
         root = ElementTree.Element("robot", {"name": recipe.name})
         root.extend(list(arm.elements(inside, say)))
         mount = ElementTree.SubElement(root, "joint", {"name": f"{recipe.name}_mount_joint", "type": "fixed"})
-        ElementTree.SubElement(mount, "parent", {"link": f"{recipe.name}_{arm.flange}"})
+        ElementTree.SubElement(mount, "parent", {"link": arm.own(arm.flange)})
         ElementTree.SubElement(mount, "child", {"link": f"{recipe.name}_{tool.root.removeprefix(tool.prefix)}"})
-        origin = {"xyz": _text(recipe.mount_xyz), "rpy": _text(recipe.mount_rpy)}
+        place = arm.mount
+        origin = {"xyz": _text(place.position), "rpy": _text(place.rotation.as_euler("xyz"))}
         ElementTree.SubElement(mount, "origin", origin)
         root.extend(mounted(tool, recipe.name, inside, lambda name: f"{recipe.name}_{name}"))
         ElementTree.indent(root)
         urdf = inside / f"{recipe.name}.urdf"
         ElementTree.ElementTree(root).write(urdf, encoding="utf-8", xml_declaration=True)
         say("sampling which links can touch")
-        (inside / f"{recipe.name}.srdf").write_text(srdf_text(recipe.name, urdf))
-        values = arm.values(tool.prefix)
+        hand = frozenset(tool.model(lambda name: f"{recipe.name}_{name}").links)
+        (inside / f"{recipe.name}.srdf").write_text(srdf_text(recipe.name, urdf, together=hand))
+        values = arm.values(tool)
         file.write_text(_yaml(recipe, values))
         if not recipe.home:
             say("searching a home pose")
-            values["home"] = [round(float(q), 4) for q in home_of(recipe.name, scratch)]
+            values["home"] = [round(float(q), 4) for q in arm.home(scratch)]
             file.write_text(_yaml(recipe, values))
         for kept in target.glob("*") if target.is_dir() else ():
             if kept.name in ("LICENSE", "README.md", "recipe.yaml"):
@@ -102,8 +105,15 @@ def derive(recipe: RobotRecipe, out: Path, *, folder: Path | None = None, say: C
 class Arm:
     """The part of a URDF between base and flange."""
 
-    def __init__(self, root: Element, path: Path, recipe: RobotRecipe) -> None:
+    def __init__(self, root: Element, path: Path, recipe: RobotRecipe, *, base: str = "", flange: str = "") -> None:
         """Find the chain.
+
+        Args:
+            root: Root of the URDF.
+            path: Its file.
+            recipe: What to do.
+            base: First link; empty: the recipe's, or the first link with a shape.
+            flange: Last link; empty: the recipe's, or the end of the longest chain.
 
         Raises:
             ConfigError: When base or flange are missing, do not lie on one chain, or a joint is not supported.
@@ -115,8 +125,8 @@ class Arm:
         roots = [name for name in self._links if name not in above]
         if len(roots) != 1:
             raise ConfigError(f"{path}: expected one root link, found {', '.join(roots) or 'none'}")
-        self.base = recipe.base or self._first_body(roots[0], above)
-        self.flange = recipe.flange or self._last(above)
+        self.base = base or recipe.base or self._first_body(roots[0], above)
+        self.flange = flange or recipe.flange or self._last(above)
         for what, name in (("base", self.base), ("flange", self.flange)):
             if name not in self._links:
                 raise ConfigError(f"{path}: no link '{name}' for the {what}; its links are {', '.join(self._links)}")
@@ -176,8 +186,8 @@ class Arm:
             ConfigError: When a mesh is missing or unreadable.
         """
         for link in self._kept:
-            made = ElementTree.Element("link", {"name": self._named(link)})
-            shapes = self._visual(link, folder) + self._collision(link, folder)
+            made = ElementTree.Element("link", {"name": self.own(str(link.get("name")))})
+            shapes = self._shapes(link, folder)
             made.extend(shapes)
             inertial = link.find("inertial")
             made.append(massless() if inertial is None else inertial)
@@ -187,14 +197,35 @@ class Arm:
         for joint in self._chain:
             yield self._joint(joint)
 
-    def _named(self, element: Element) -> str:
-        return f"{self.recipe.name}_{element.get('name')}"
+    @property
+    def mount(self) -> Pose:
+        """Pose of the gripper in the flange."""
+        return Pose.from_arrays(self.recipe.mount_xyz, Rotation.from_euler("xyz", self.recipe.mount_rpy))
+
+    def own(self, name: str) -> str:
+        """Return the robot's name of a link or joint."""
+        return f"{self.recipe.name}_{name}"
+
+    def home(self, folder: Path) -> Iterable[float]:
+        """Return joint positions at home [rad], given the configuration folder that has the robot's files.
+
+        Raises:
+            ConfigError: When the arm cannot point its tool down above the table.
+        """
+        return [float(q) for q in home_of(self.recipe.name, folder)]
+
+    def _shapes(self, link: Element, folder: Path) -> list[Element]:
+        """Return the visual and collision elements of a link; write its meshes."""
+        recipe = self.recipe
+        meshes = LinkMeshes(recipe.name, folder, self.path, self._materials, triangles=recipe.triangles)
+        return meshes.visual(link) + meshes.collision(link)
 
     def _joint(self, joint: Element) -> Element:
         moving = joint.get("type") != "fixed"
-        made = ElementTree.Element("joint", {"name": self._named(joint), "type": "revolute" if moving else "fixed"})
-        ElementTree.SubElement(made, "parent", {"link": f"{self.recipe.name}_{_parent(joint)}"})
-        ElementTree.SubElement(made, "child", {"link": f"{self.recipe.name}_{_child(joint)}"})
+        name = self.own(str(joint.get("name")))
+        made = ElementTree.Element("joint", {"name": name, "type": "revolute" if moving else "fixed"})
+        ElementTree.SubElement(made, "parent", {"link": self.own(_parent(joint))})
+        ElementTree.SubElement(made, "child", {"link": self.own(_child(joint))})
         for tag in ("origin", "axis"):
             if (part := joint.find(tag)) is not None:
                 made.append(part)
@@ -229,72 +260,102 @@ class Arm:
                 )
         return lower, upper, velocity, given["effort"]
 
-    def _visual(self, link: Element, folder: Path) -> list[Element]:
-        parts: list[tuple[Color, trimesh.Trimesh]] = []
-        for shape in link.findall("visual"):
-            parts += coloured(shape, self.path, self._materials)
-        if not parts:
-            return []
-        file = f"visual/{link.get('name')}.glb"
-        scene = visual(parts, triangles=self.recipe.triangles, weld_m=WELD_M)
-        (folder / file).write_bytes(scene.export(file_type="glb", include_normals=True))
-        return [self._shape("visual", file)]
-
-    def _collision(self, link: Element, folder: Path) -> list[Element]:
-        made = []
-        for k, shape in enumerate(link.findall("collision")):
-            meshes = [mesh for _, mesh in coloured(shape, self.path, self._materials)]
-            solid = trimesh.Trimesh(*trimesh.util.append_faces([m.vertices for m in meshes], [m.faces for m in meshes]))
-            for i, part in enumerate(convex_parts(solid, min_gain=MIN_GAIN, max_parts=MAX_PARTS)):
-                file = f"collision/{link.get('name')}_{k + 1}_{i + 1}.stl"
-                part.export(folder / file)
-                made.append(self._shape("collision", file))
-        return made
-
-    def _shape(self, tag: str, file: str) -> Element:
-        made = ElementTree.Element(tag)
-        geometry = ElementTree.SubElement(made, "geometry")
-        ElementTree.SubElement(geometry, "mesh", {"filename": f"package://{self.recipe.name}/{file}"})
-        return made
-
-    def values(self, gripper_prefix: str) -> dict[str, Any]:
+    def values(self, tool: Gripper) -> dict[str, Any]:
         """Return the content of the robot's YAML file."""
-        recipe, tool, count = self.recipe, gripper(self.recipe.gripper), len(self.joints)
+        recipe, count = self.recipe, len(self.joints)
         limits = [self._limits(joint) for joint in self.joints.values()]
         acceleration = spread(recipe.acceleration, count, "acceleration")
         jerk = spread(recipe.jerk, count, "jerk") if recipe.jerk else tuple(a / JERK_TIME_S for a in acceleration)
         efforts = [limit[3] for limit in limits]
-
-        def own(name: str) -> str:
-            return f"{recipe.name}_{name.removeprefix(gripper_prefix)}"
-
         home = spread(recipe.home, count, "home") if recipe.home else tuple((low + up) / 2 for low, up, *_ in limits)
-        return {
-            "urdf": f"{recipe.name}/{recipe.name}.urdf",
-            "srdf": f"{recipe.name}/{recipe.name}.srdf",
-            "base_link": f"{recipe.name}_{self.base}",
-            "tcp_link": own(tool.tcp),
-            "joint_names": [f"{recipe.name}_{name}" for name in self.joints],
-            "limits": {
-                "lower": [limit[0] for limit in limits],
-                "upper": [limit[1] for limit in limits],
-                "velocity": [limit[2] for limit in limits],
-                "acceleration": list(acceleration),
-                "jerk": [round(value, 6) for value in jerk],
-                "effort": efforts,
-            },
-            "gripper": {
-                "joint_names": [own(name) for name in tool.joints],
-                "max_opening_m": tool.max_opening_m,
-                "force_n": tool.force_n,
-                "speed_m_s": tool.speed_m_s,
-                "links": [own(name) for name in tool.links],
-            },
-            "home": list(home),
-            "position_gain": 0.3,
-            # Weaker wrists do not keep the tool within 2 mm of its command; see config/robots/panda.yaml.
-            "motor_force": [max(effort, 50.0) for effort in efforts],
+        stated = {
+            "lower": [limit[0] for limit in limits],
+            "upper": [limit[1] for limit in limits],
+            "velocity": [limit[2] for limit in limits],
+            "acceleration": list(acceleration),
+            "jerk": [round(value, 6) for value in jerk],
+            "effort": efforts,
         }
+        # Weaker wrists do not keep the tool within 2 mm of its command; see config/robots/panda.yaml.
+        return self._file(tool, stated, list(home), [max(effort, 50.0) for effort in efforts])
+
+    def _file(
+        self, tool: Gripper, limits: dict[str, Any], home: list[float], motor_force: list[float], gain: float = 0.3
+    ) -> dict[str, Any]:
+        name = self.recipe.name
+        return {
+            "urdf": f"{name}/{name}.urdf",
+            "srdf": f"{name}/{name}.srdf",
+            "base_link": self.own(self.base),
+            "tcp_link": f"{name}_{tool.tcp.removeprefix(tool.prefix)}",
+            "joint_names": [self.own(joint) for joint in self.joints],
+            "limits": limits,
+            "gripper": plain(tool.model(lambda inner: f"{name}_{inner}")),
+            "home": home,
+            "position_gain": gain,
+            "motor_force": motor_force,
+        }
+
+
+class ShippedArm(Arm):
+    """The arm of a robot in ``config/robots``, without its gripper. Its meshes, limits and mount are taken over."""
+
+    def __init__(self, recipe: RobotRecipe) -> None:
+        """Find the robot's arm.
+
+        Raises:
+            ConfigError: When there is no such robot.
+        """
+        self.model: RobotModel = ModelLibrary().robot(recipe.arm)
+        file = named_config("robots", recipe.arm)
+        urdf = file.parent / self.model.urdf
+        root = urdf_root(urdf)
+        hand = self.model.gripper.links[0]
+        (joint,) = (joint for joint in root.findall("joint") if _child(joint) == hand)
+        self._at_hand = origin_pose(joint, str(urdf))
+        for element in below(root, hand):
+            root.remove(element)
+        root.remove(joint)
+        super().__init__(root, urdf, recipe, base=self.model.base_link, flange=_parent(joint))
+
+    @property
+    def mount(self) -> Pose:
+        """Pose of the gripper in the flange: that of the robot's own, then the recipe's."""
+        return self._at_hand @ super().mount
+
+    def own(self, name: str) -> str:
+        """Return the robot's name of a link or joint."""
+        return f"{self.recipe.name}_{name.removeprefix(f'{self.recipe.arm}_')}"
+
+    def home(self, folder: Path) -> Iterable[float]:
+        """Return joint positions at home that hold the tool where the robot's own gripper is at home."""
+        return same_place(self.model, self.recipe.name, folder)
+
+    def _shapes(self, link: Element, folder: Path) -> list[Element]:
+        meshes = LinkMeshes(self.recipe.name, folder, self.path, {}, triangles=0)
+        parts = [part for pair in self.model.close_pairs if pair.other == link.get("name") for part in pair.parts]
+        made = []
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            mesh = shape.find("geometry/mesh")
+            if mesh is None or (shape.tag == "collision" and parts):
+                if mesh is None:
+                    made.append(shape)
+                continue
+            inner = str(mesh.get("filename")).removeprefix(f"package://{self.path.parent.name}/")
+            shutil.copy(self.path.parent / inner, folder / inner)
+            mesh.set("filename", f"package://{self.recipe.name}/{inner}")
+            made.append(shape)
+        for part in parts:
+            inner = f"collision/{Path(part).name}"
+            shutil.copy(part, folder / inner)
+            made.append(meshes.element("collision", inner))
+        return made
+
+    def values(self, tool: Gripper) -> dict[str, Any]:
+        """Return the content of the robot's YAML file."""
+        limits = {name: list(numbers) for name, numbers in asdict(self.model.limits).items()}
+        home = list(self.recipe.home or self.model.home)
+        return self._file(tool, limits, home, list(self.model.motor_force), self.model.position_gain)
 
 
 def massless() -> Element:
@@ -324,66 +385,6 @@ def expanded(path: Path) -> Element:
         raise ConfigError(f"{path} cannot be expanded: {error}") from None
 
 
-def coloured(shape: Element, path: Path, materials: dict[str, Element]) -> list[tuple[Color, trimesh.Trimesh]]:
-    """Return colour and mesh of each part of a URDF's visual or collision shape, in its link's frame.
-
-    Raises:
-        ConfigError: When the geometry is missing, unreadable or of another kind.
-    """
-    geometry = shape.find("geometry")
-    item = None if geometry is None else next(iter(geometry), None)
-    if item is None:
-        raise ConfigError(f"{path}: a <{shape.tag}> has no geometry")
-    material = shape.find("material")
-    named = None if material is None else materials.get(str(material.get("name")))
-    color = next((c for m in (material, named) if m is not None and (c := m.find("color")) is not None), None)
-    stated: Color | None = None
-    if color is not None:
-        stated = tuple(round(255 * float(value)) for value in str(color.get("rgba")).split()[:3])
-    if item.tag == "mesh":
-        parts = _loaded(mesh_path(str(item.get("filename")), path), _numbers(item.get("scale", "1 1 1")))
-    elif item.tag == "box":
-        parts = [(None, trimesh.creation.box(_numbers(str(item.get("size")))))]
-    elif item.tag == "cylinder":
-        solid = trimesh.creation.cylinder(float(str(item.get("radius"))), float(str(item.get("length"))))
-        parts = [(None, solid)]
-    elif item.tag == "sphere":
-        parts = [(None, trimesh.creation.icosphere(radius=float(str(item.get("radius")))))]
-    else:
-        raise ConfigError(f"{path}: geometry <{item.tag}> is not supported; use mesh, box, cylinder or sphere")
-    origin = shape.find("origin")
-    placed = np.eye(4)
-    if origin is not None:
-        placed = trimesh.transformations.euler_matrix(*_numbers(origin.get("rpy", "0 0 0")))
-        placed[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
-    for _, mesh in parts:
-        mesh.apply_transform(placed)
-    return [(stated or own or GREY, mesh) for own, mesh in parts]
-
-
-def _loaded(file: Path, scale: list[float]) -> list[tuple[Color | None, trimesh.Trimesh]]:
-    """Return colour and mesh of each part of a mesh file; no colour: the file has none."""
-    try:
-        scene = trimesh.load_scene(file)
-    except Exception as error:  # trimesh's readers raise whatever their parsers raise
-        raise ConfigError(f"cannot read the mesh {file}: {error}") from None
-    parts: list[tuple[Color | None, trimesh.Trimesh]] = []
-    for mesh in scene.dump():
-        if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
-            mesh.apply_scale(scale)
-            parts.append((_color(mesh), mesh))
-    if not parts:
-        raise ConfigError(f"{file} holds no triangles")
-    return parts
-
-
-def _color(mesh: trimesh.Trimesh) -> Color | None:
-    main = getattr(getattr(mesh.visual, "material", None), "main_color", None)
-    if main is None or len(main) < 3 or tuple(main[:3]) == (102, 102, 102):  # trimesh's default
-        return None
-    return tuple(int(c) for c in main[:3])
-
-
 def _child(joint: Element) -> str:
     part = joint.find("child")
     return "" if part is None else str(part.get("link"))
@@ -394,10 +395,6 @@ def _parent(joint: Element) -> str:
     return "" if part is None else str(part.get("link"))
 
 
-def _numbers(text: str) -> list[float]:
-    return [float(word) for word in text.split()]
-
-
 def _text(values: Iterable[float]) -> str:
     return " ".join(f"{value:.10g}" for value in values)
 
@@ -406,7 +403,8 @@ def _yaml(recipe: RobotRecipe, values: dict[str, Any]) -> str:
     comment = f"# {recipe.title or recipe.name} with the gripper {recipe.gripper}."
     if recipe.source:
         comment += f" Source: {recipe.source}."
-    comment += "\n# Written by `roboxim robot new`; accelerations are the recipe's, the other limits the URDF's.\n"
+    limits = f"limits are those of {recipe.arm}" if recipe.arm else ACCELERATIONS
+    comment += f"\n# Written by `roboxim robot new`; {limits}.\n"
     rounded = {
         name: [round(v, 6) if isinstance(v, float) and math.isfinite(v) else v for v in value]
         if isinstance(value, list)

@@ -1,68 +1,82 @@
-"""Grippers that `roboxim robot new` mounts on an arm."""
+"""Grippers, which `roboxim robot new` mounts on an arm: each is a YAML file of ``config/grippers``."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
-from roboxim_core.config import named_config
-from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.config import load_config, named_config
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.description import GripperModel
 
 Element = ElementTree.Element
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gripper:
-    """A gripper as part of another robot's description."""
+    """A gripper: a YAML file of ``config/grippers``, with names as in its URDF."""
 
-    robot: str
-    """Robot of ``config/robots`` that has it."""
+    urdf: Path
+    """URDF that has it, relative to the file; its meshes are ``package://<name of the URDF's folder>/...``."""
     root: str
-    """Its root link; the root's parent joint is replaced by the mount."""
+    """Its root link: z points out of the flange, and the fingers open along y. A joint above it is replaced."""
     tcp: str
-    """Frame of the tool centre point."""
-    joints: tuple[str, ...]
-    """Finger joints."""
-    links: tuple[str, ...]
-    """Links that may touch a held object; the hand first."""
-    prefix: str
-    """Prefix of all its names, replaced by the arm's."""
-    max_opening_m: float
-    """Total opening [m]."""
-    force_n: float
-    """Force of each finger [N]."""
-    speed_m_s: float
-    """Speed of each finger [m/s]."""
+    """Frame of the tool centre point, as of a robot."""
+    prefix: str = ""
+    """Prefix of all its names, replaced by the robot's."""
+    gripper: GripperModel
+    """Fingers, opening, force and speed."""
 
+    def model(self, rename: Callable[[str], str]) -> GripperModel:
+        """Return the gripper of a robot, given how names without prefix become the robot's."""
 
-GRIPPERS = {
-    "franka_hand": Gripper(
-        robot="panda",
-        root="panda_hand",
-        tcp="panda_hand_tcp",
-        joints=("panda_finger_joint1", "panda_finger_joint2"),
-        links=("panda_hand", "panda_leftfinger", "panda_rightfinger"),
-        prefix="panda_",
-        max_opening_m=0.08,
-        force_n=20.0,
-        speed_m_s=0.1,
-    )
-}
-"""Grippers by name."""
+        def own(name: str) -> str:
+            return rename(name.removeprefix(self.prefix))
+
+        return replace(
+            self.gripper,
+            joint_names=tuple(map(own, self.gripper.joint_names)),
+            links=tuple(map(own, self.gripper.links)),
+            followers=tuple(
+                replace(follower, name=own(follower.name), leader=own(follower.leader))
+                for follower in self.gripper.followers
+            ),
+        )
 
 
 def gripper(name: str) -> Gripper:
     """Return a gripper.
 
+    Args:
+        name: Name in ``config/grippers``, or a YAML file.
+
     Raises:
-        ConfigError: When there is none of that name.
+        ConfigError: When there is none of that name, or its file is invalid.
     """
-    if name not in GRIPPERS:
-        raise ConfigError(f"no gripper '{name}'; {one_of(GRIPPERS, name)}")
-    return GRIPPERS[name]
+    file = named_config("grippers", name)
+    tool = load_config(file, Gripper)
+    urdf = (file.parent / tool.urdf).resolve()
+    if not urdf.is_file():
+        raise ConfigError(f"{file}: urdf: no such file: {urdf}")
+    return replace(tool, urdf=urdf)
+
+
+def below(root: Element, link: str) -> list[Element]:
+    """Return the links and joints of a URDF from a link on, without the joint above it."""
+    above = {joint.find("child").get("link"): joint for joint in root.findall("joint")}  # type: ignore[union-attr]
+
+    def inside(name: str) -> bool:
+        while name != link:
+            if name not in above:
+                return False
+            name = str(above[name].find("parent").get("link"))  # type: ignore[union-attr]
+        return True
+
+    links = [element for element in root.findall("link") if inside(str(element.get("name")))]
+    return [*links, *(joint for child, joint in above.items() if child != link and inside(str(child)))]
 
 
 def mounted(tool: Gripper, robot: str, folder: Path, rename: Callable[[str], str]) -> list[Element]:
@@ -74,29 +88,14 @@ def mounted(tool: Gripper, robot: str, folder: Path, rename: Callable[[str], str
         folder: The robot's folder; meshes go to ``visual`` and ``collision`` there.
         rename: Maps names without prefix to the robot's.
     """
-    source = named_config("robots", tool.robot).parent / tool.robot
-    root = ElementTree.parse(source / f"{tool.robot}.urdf").getroot()
-    joints = {joint.find("child").get("link"): joint for joint in root.findall("joint")}  # type: ignore[union-attr]
-    kept = []
-
-    def below(link: str) -> bool:
-        while link != tool.root:
-            if link not in joints:
-                return False
-            link = str(joints[link].find("parent").get("link"))  # type: ignore[union-attr]
-        return True
-
-    for element in [*root.findall("link"), *root.findall("joint")]:
-        link = str(element.get("name") if element.tag == "link" else element.find("child").get("link"))  # type: ignore[union-attr]
-        if below(link) and not (element.tag == "joint" and link == tool.root):
-            kept.append(element)
+    kept = below(ElementTree.parse(tool.urdf).getroot(), tool.root)
     for element in kept:
         for part in element.iter():
             for key in ("name", "link", "joint"):
-                if str(part.get(key, "")).startswith(tool.prefix):
+                if part.get(key) and part.tag in ("link", "joint", "parent", "child", "mimic"):
                     part.set(key, rename(str(part.get(key)).removeprefix(tool.prefix)))
             if part.tag == "mesh":
-                inner = str(part.get("filename")).removeprefix(f"package://{tool.robot}/")
-                shutil.copy(source / inner, folder / inner)
+                inner = str(part.get("filename")).removeprefix(f"package://{tool.urdf.parent.name}/")
+                shutil.copy(tool.urdf.parent / inner, folder / inner)
                 part.set("filename", f"package://{robot}/{inner}")
     return kept

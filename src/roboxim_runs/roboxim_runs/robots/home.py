@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import ConfigError, PlannerError
+from roboxim_core.kinematics.arm import ArmKinematics
+from roboxim_core.models.description import RobotModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_planner.ik import IkSolver
@@ -18,6 +20,24 @@ TOOL_DOWN = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0))
 """Quaternions (x, y, z, w) of a tool that points down and opens along the base's y axis; a gripper is symmetric."""
 PLACES = ((0.5, 0.0, 0.4), (0.45, 0.0, 0.35), (0.4, 0.0, 0.3), (0.3, 0.0, 0.25), (0.2, 0.0, 0.2))
 """Positions of the TCP in the base to try, farthest first [m]; a small arm reaches the last ones only."""
+
+
+def same_place(robot: RobotModel, name: str, folder: Path) -> list[float]:
+    """Return arm joint positions that hold another gripper where a robot's own is at home [rad].
+
+    Args:
+        robot: The robot.
+        name: Id of the same arm with the other gripper.
+        folder: Configuration folder that has it in ``robots``.
+    """
+    other = ArmKinematics(ModelLibrary(folder).robot(name))
+    joints = np.array(robot.home)
+    for _ in range(10):  # each call takes a fixed number of steps
+        found = other.ik_near(ArmKinematics(robot).fk(robot.home), joints)
+        joints = found.joints
+        if found.converged:
+            return [float(q) for q in joints]
+    return [float(q) for q in home_of(name, folder)]
 
 
 def home_of(name: str, folder: Path) -> npt.NDArray[np.float64]:

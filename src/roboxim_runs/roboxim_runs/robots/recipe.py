@@ -17,8 +17,10 @@ class RobotRecipe:
 
     name: str
     """Id of the robot: lower-case letters, digits and ``_``."""
-    urdf: str
+    urdf: str = ""
     """URDF file; relative to the recipe, or ``package:DISTRIBUTION/PATH`` in an installed wheel."""
+    arm: str = ""
+    """Robot of ``config/robots`` whose arm gets another gripper, instead of a URDF. Its limits and meshes are kept."""
     title: str = ""
     """What it is, for the comment of its file, e.g. ``Franka Research 3``."""
     source: str = ""
@@ -28,9 +30,9 @@ class RobotRecipe:
     flange: str = ""
     """Link that the gripper is mounted on; empty: the last one. What lies beyond it is left out."""
     gripper: str = "franka_hand"
-    """Gripper; see `roboxim_runs.robots.grippers`."""
+    """Gripper of ``config/grippers``."""
     mount_xyz: Vec3 = (0.0, 0.0, 0.0)
-    """Position of the gripper in the flange [m]."""
+    """Position of the gripper in the flange; with ``arm``, in the place of that robot's own gripper [m]."""
     mount_rpy: Vec3 = (0.0, 0.0, 0.0)
     """Rotation of the gripper in the flange: z out of the flange, y along the opening [rad]."""
     velocity: tuple[float, ...] = ()
@@ -48,6 +50,16 @@ class RobotRecipe:
 
     def __post_init__(self) -> None:
         """Check what one value says about another."""
+        if bool(self.urdf) == bool(self.arm):
+            raise ConfigError(
+                "expected either urdf, a file to derive an arm from, or arm, a robot of config/robots that gets "
+                f"another gripper; got {'both' if self.urdf else 'neither'}"
+            )
+        if self.arm:
+            taken = ("base", "flange", "velocity", "acceleration", "jerk")
+            if given := [name for name in taken if getattr(self, name)]:
+                raise ConfigError(f"{', '.join(given)}: with arm they are those of '{self.arm}'; leave them out")
+            return
         if not self.acceleration:
             raise ConfigError(
                 "a URDF has no joint accelerations: give them from the maker's data sheet "

@@ -139,6 +139,14 @@ def test_the_arms_of_embodiment_lack_one_skill_each_and_its_definitions_name_all
     assert {f"model {arm}" for arm in arms} <= definitions(design).keys()
 
 
+def test_each_gripper_lacks_one_skill_that_the_other_has():
+    design = design_of(load_experiment("gripper"))
+    held_out = {cell.levels["gripper"]: cell.levels["task"] for cell in design.cells if cell.unseen}
+    assert held_out == {"franka_hand": "place_on", "robotiq_2f85": "pick_up"}
+    assert {key: sum(counts.values()) for key, counts in design.datasets.items()} == {"leave_out": 360, "baseline": 360}
+    assert {"model panda", "model panda_2f85"} <= definitions(design).keys()
+
+
 def test_the_cells_of_length_have_tasks_of_so_many_steps():
     design = design_of(load_experiment("length"))
     assert {key: sum(counts.values()) for key, counts in design.datasets.items()} == {"leave_out": 270, "baseline": 270}

@@ -1,5 +1,6 @@
 """A robot from a small URDF: the parts are there, the engines agree, and wrong input is explained."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,11 @@ import trimesh
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
+from roboxim_runs.robots import derivation
 from roboxim_runs.robots.check import prove
+from roboxim_runs.robots.collision_pairs import srdf_text
 from roboxim_runs.robots.derivation import derive
+from roboxim_runs.robots.grippers import gripper
 from roboxim_runs.robots.recipe import RobotRecipe
 
 JOINTS = (("0 0 0.15", "0 0 1"), ("0 0 0.15", "0 1 0"), ("0 0 0.35", "0 1 0"),
@@ -85,7 +89,7 @@ def test_the_proofs_of_geometry_hold(made: Path, monkeypatch: pytest.MonkeyPatch
     [
         ({}, {"flange": "l9"}, "no link 'l9' for the flange; its links are world, base, l1"),
         ({}, {"base": "l3", "flange": "l2"}, "'l2' is not below 'l3'"),
-        ({}, {"gripper": "claw"}, "no gripper 'claw'"),
+        ({}, {"gripper": "claw"}, "no 'claw' in config.grippers"),
         ({}, {"acceleration": (1.0, 2.0)}, "acceleration: expected 1 or 6 numbers, one for each joint"),
         ({}, {"name": "My Arm"}, "expected lower-case letters"),
         ({"type": "prismatic"}, {}, "an arm has revolute joints"),
@@ -111,6 +115,15 @@ def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
     (tmp_path / "base.stl").unlink()
     with pytest.raises(ConfigError, match=r"cannot read the mesh .*base\.stl"):
         derive(recipe(urdf), tmp_path / "robots", say=lambda line: None)
+
+
+@pytest.mark.thorough
+def test_a_gripper_is_mounted_on_an_arm_from_a_urdf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(derivation, "srdf_text", partial(srdf_text, samples=300))
+    derive(recipe(small_arm(tmp_path), gripper="robotiq_2f85"), tmp_path / "robots", say=lambda line: None)
+    robot = ModelLibrary(tmp_path).robot("mine")
+    assert robot.gripper.links[:2] == ("mine_hand", "mine_gripper_left_inner_finger_pad")
+    assert robot.gripper.opening_map == gripper("robotiq_2f85").gripper.opening_map
 
 
 @pytest.mark.slow

@@ -1,0 +1,144 @@
+"""Visual and collision meshes of a link, from somebody's URDF to the files that RoboXim uses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import trimesh
+
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.urdf import mesh_path
+from roboxim_runs.robots.convex_parts import around, convex_parts
+from roboxim_runs.robots.decimation import Color, visual
+
+Element = ElementTree.Element
+MIN_GAIN = 0.03
+"""Fraction of a link's hull that a further convex part must save."""
+MAX_PARTS = 8
+WELD_M = 0.001
+"""Detail of visual meshes that is dropped [m]."""
+GREY: Color = (190, 192, 196)
+"""Colour of a mesh that neither its file nor the URDF gives one."""
+
+
+class LinkMeshes:
+    """Writes the meshes of links into a robot's or a gripper's folder."""
+
+    def __init__(
+        self, package: str, folder: Path, source: Path, materials: dict[str, Element], *, triangles: int,
+        weld_m: float = WELD_M, max_parts: int = MAX_PARTS, max_faces: int = 0,
+    ) -> None:  # fmt: skip
+        """Set where meshes come from and go to.
+
+        Args:
+            package: Name of the folder in the mesh paths of the URDF to write.
+            folder: That folder, with ``visual`` and ``collision``.
+            source: The URDF that links come from.
+            materials: Its materials by name.
+            triangles: Triangles of a link's visual mesh.
+            weld_m: Detail of visual meshes that is dropped [m].
+            max_parts: Convex parts of a collision shape.
+            max_faces: A convex part with more faces becomes a coarser one that contains it; 0: none does.
+        """
+        self.package, self.folder, self._source, self._materials = package, folder, source, materials
+        self._triangles, self._weld_m, self._max_parts = triangles, weld_m, max_parts
+        self._max_faces = max_faces
+
+    def visual(self, link: Element) -> list[Element]:
+        """Return the visual element of a link; none: it has no shape."""
+        parts: list[tuple[Color, trimesh.Trimesh]] = []
+        for shape in link.findall("visual"):
+            parts += coloured(shape, self._source, self._materials)
+        if not parts:
+            return []
+        file = f"visual/{link.get('name')}.glb"
+        scene = visual(parts, triangles=self._triangles, weld_m=self._weld_m)
+        (self.folder / file).write_bytes(scene.export(file_type="glb", include_normals=True))
+        return [self.element("visual", file)]
+
+    def collision(self, link: Element) -> list[Element]:
+        """Return the collision elements of a link: convex parts."""
+        made = []
+        for k, shape in enumerate(link.findall("collision")):
+            meshes = [mesh for _, mesh in coloured(shape, self._source, self._materials)]
+            solid = trimesh.Trimesh(*trimesh.util.append_faces([m.vertices for m in meshes], [m.faces for m in meshes]))
+            for i, part in enumerate(convex_parts(solid, min_gain=MIN_GAIN, max_parts=self._max_parts)):
+                if 0 < self._max_faces < len(part.faces):
+                    part = around(part.vertices)  # noqa: PLW2901
+                file = f"collision/{link.get('name')}_{k + 1}_{i + 1}.stl"
+                part.export(self.folder / file)
+                made.append(self.element("collision", file))
+        return made
+
+    def element(self, tag: str, file: str) -> Element:
+        """Return a visual or collision element of a mesh file of the folder."""
+        made = ElementTree.Element(tag)
+        geometry = ElementTree.SubElement(made, "geometry")
+        ElementTree.SubElement(geometry, "mesh", {"filename": f"package://{self.package}/{file}"})
+        return made
+
+
+def coloured(shape: Element, path: Path, materials: dict[str, Element]) -> list[tuple[Color, trimesh.Trimesh]]:
+    """Return colour and mesh of each part of a URDF's visual or collision shape, in its link's frame.
+
+    Raises:
+        ConfigError: When the geometry is missing, unreadable or of another kind.
+    """
+    geometry = shape.find("geometry")
+    item = None if geometry is None else next(iter(geometry), None)
+    if item is None:
+        raise ConfigError(f"{path}: a <{shape.tag}> has no geometry")
+    material = shape.find("material")
+    named = None if material is None else materials.get(str(material.get("name")))
+    color = next((c for m in (material, named) if m is not None and (c := m.find("color")) is not None), None)
+    stated: Color | None = None
+    if color is not None:
+        stated = tuple(round(255 * float(value)) for value in str(color.get("rgba")).split()[:3])
+    if item.tag == "mesh":
+        parts = _loaded(mesh_path(str(item.get("filename")), path), _numbers(item.get("scale", "1 1 1")))
+    elif item.tag == "box":
+        parts = [(None, trimesh.creation.box(_numbers(str(item.get("size")))))]
+    elif item.tag == "cylinder":
+        solid = trimesh.creation.cylinder(float(str(item.get("radius"))), float(str(item.get("length"))))
+        parts = [(None, solid)]
+    elif item.tag == "sphere":
+        parts = [(None, trimesh.creation.icosphere(radius=float(str(item.get("radius")))))]
+    else:
+        raise ConfigError(f"{path}: geometry <{item.tag}> is not supported; use mesh, box, cylinder or sphere")
+    origin = shape.find("origin")
+    placed = np.eye(4)
+    if origin is not None:
+        placed = trimesh.transformations.euler_matrix(*_numbers(origin.get("rpy", "0 0 0")))
+        placed[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
+    for _, mesh in parts:
+        mesh.apply_transform(placed)
+    return [(stated or own or GREY, mesh) for own, mesh in parts]
+
+
+def _loaded(file: Path, scale: list[float]) -> list[tuple[Color | None, trimesh.Trimesh]]:
+    """Return colour and mesh of each part of a mesh file; no colour: the file has none."""
+    try:
+        scene = trimesh.load_scene(file)
+    except Exception as error:  # trimesh's readers raise whatever their parsers raise
+        raise ConfigError(f"cannot read the mesh {file}: {error}") from None
+    parts: list[tuple[Color | None, trimesh.Trimesh]] = []
+    for mesh in scene.dump():
+        if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
+            mesh.apply_scale(scale)
+            parts.append((_color(mesh), mesh))
+    if not parts:
+        raise ConfigError(f"{file} holds no triangles")
+    return parts
+
+
+def _color(mesh: trimesh.Trimesh) -> Color | None:
+    main = getattr(getattr(mesh.visual, "material", None), "main_color", None)
+    if main is None or len(main) < 3 or tuple(main[:3]) == (102, 102, 102):  # trimesh's default
+        return None
+    return tuple(int(c) for c in main[:3])
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(word) for word in text.split()]
