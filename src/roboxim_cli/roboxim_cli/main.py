@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import importlib
+import io
 import os
 import re
 import signal
@@ -155,6 +156,18 @@ def _terminate(number: int, _: FrameType | None) -> None:
     sys.exit(128 + number)
 
 
+LONGEST_WORD = 200
+"""Characters of a word of the command line that an error repeats whole."""
+
+
+def _shortened(text: str) -> str:
+    """Return an error in which long words of the command line are cut off."""
+    words = {part for word in sys.argv for part in (word, word[2:], word.partition("=")[2]) if len(part) > LONGEST_WORD}
+    for word in sorted(words, key=len, reverse=True):
+        text = text.replace(word, f"{word[:40]}... ({len(word)} characters)")
+    return text
+
+
 def main() -> None:
     """Run the command line. Exit codes: 0, 1 for an error, 2 for wrong usage or configuration, 130 for Ctrl-C."""
     from roboxim_ros.environment import start_clean
@@ -167,10 +180,13 @@ def main() -> None:
         die_with_parent(int(parent))
     from roboxim_core.errors import ConfigError, RoboximError
 
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # an argument may be bytes that are no UTF-8
     signal.signal(signal.SIGTERM, _terminate)
     try:
         group.main(prog_name="roboxim", standalone_mode=False)
     except click.ClickException as error:
+        error.message = _shortened(error.message)  # type: ignore[misc]
         error.show()
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
@@ -178,7 +194,8 @@ def main() -> None:
         sys.exit(130)
     except RoboximError as error:
         wrong_usage = isinstance(error, ConfigError)
-        click.echo(f"error: {error}" if wrong_usage else f"error: {error} [{error.code.name}]", err=True)
+        said = _shortened(str(error))
+        click.echo(f"error: {said}" if wrong_usage else f"error: {said} [{error.code.name}]", err=True)
         sys.exit(2 if wrong_usage else 1)
     except ModuleNotFoundError as error:
         from roboxim_core.plain_data.extras import explained

@@ -387,7 +387,19 @@ def parse_size(text: str) -> tuple[int, int]:
 
     if text == "as-configured":
         return 0, 0
-    found = re.fullmatch(r"(\d+)(?:x(\d+))?", text)
+    found = re.fullmatch(r"(\d{1,5})(?:x(\d{1,5}))?", text)
     if not found or not 16 <= int(found[1]) <= 4096 or not 16 <= int(found[2] or found[1]) <= 4096:
         raise ConfigError(f"an image size is SIZE or WIDTHxHEIGHT with 16 to 4096 px, got '{text}'")
     return int(found[1]), int(found[2] or found[1])
+
+
+def require_ending(file: Path, *endings: str) -> None:
+    """Refuse a file to write whose name does not say a format.
+
+    Raises:
+        ConfigError: When it has none of the endings.
+    """
+    from roboxim_core.errors import ConfigError
+
+    if file.suffix not in endings:
+        raise ConfigError(f"--out must end in {', '.join(endings)}, got {file}")

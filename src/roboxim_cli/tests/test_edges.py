@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import signal
+import sys
+
 import click
 import pytest
 from click.testing import CliRunner
 
-from roboxim_cli.main import group
+from roboxim_cli.main import group, main
 from roboxim_core.errors import RoboximError
 
 NUMBERS = (
@@ -104,12 +107,97 @@ def test_values_at_their_edges_are_taken_or_refused_as_they_are_parsed(name, tmp
                 )
 
 
+AT_THE_DOOR = ("0", "-1", str(2**63), "9" * 5000, "1e400", "nan", "inf", "", "x" * 5000, "\u202e\U0001f916", "\udcff")
+"""Values with which the commands themselves are called."""
+
+
+class Started(BaseException):
+    """The command took the value and began its work."""
+
+
+def start(*_, **__):
+    """Stand for the beginning of long work: a process, a connection, a node."""
+    raise Started
+
+
+@pytest.fixture
+def stopped_at_the_door(monkeypatch, runtime):
+    """Let commands check what they are given, and end where they would begin processes, connections or drawing."""
+    here = runtime / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    for name in ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME"):
+        monkeypatch.setenv(name, str(runtime))
+    for place in (
+        "subprocess.Popen.__init__", "os.fork", "os.kill", "socket.socket.listen", "socket.socket.connect",
+        "multiprocessing.Process.start", "rclpy.init", "roboxim_sim.rendering.make_renderer",
+        "viser.ViserServer.__init__",
+    ):  # fmt: skip
+        monkeypatch.setattr(place, start)
+    before = signal.signal(signal.SIGALRM, start), signal.getsignal(signal.SIGTERM)
+    yield here
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before[0])
+    signal.signal(signal.SIGTERM, before[1])
+
+
+def filler(param):
+    """Return a harmless value of a required parameter."""
+    if isinstance(param.type, click.Choice):
+        return str(param.type.choices[0])
+    return "1" if isinstance(param.type, click.types.IntParamType | click.types.FloatParamType) else "missing"
+
+
+def calls(name):
+    """Yield an option, a value, and the words of a call of a command with them."""
+    params = LEAVES[name].params
+    given = [filler(param) for param in params if isinstance(param, click.Argument) and param.required]
+    for param in params:
+        if not isinstance(param, click.Option) or param.is_flag:
+            continue
+        others = [one for one in params if isinstance(one, click.Option) and one.required and one is not param]
+        rest = [word for one in others for word in (one.opts[0], filler(one))]
+        for value in AT_THE_DOOR:
+            word = f"{param.opts[0]}={value}" if param.opts[0].startswith("--") else f"{param.opts[0]}{value}"
+            yield param.opts[0], value, [*name.split(), *rest, word, *given]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(0)  # it takes the alarm itself
+@pytest.mark.parametrize("name", LEAVES)
+def test_every_command_refuses_an_edge_in_a_line_or_begins(name, stopped_at_the_door, monkeypatch, capfd):
+    """The last one with bytes that are no UTF-8; a command that computes for 30 s has begun."""
+    for option, value, words in calls(name):
+        monkeypatch.setattr(sys, "argv", ["roboxim", *words])
+        case = f"roboxim {name} {option} {ascii(value[:20])}"
+        signal.alarm(30)
+        try:
+            main()
+            code = 0
+        except Started:
+            code = 0
+        except SystemExit as error:
+            code = error.code
+        except BaseException as error:
+            raise AssertionError(f"{case}: {error!r}") from error
+        finally:
+            signal.alarm(0)
+        said = capfd.readouterr().err
+        assert "Traceback" not in said, case
+        assert len(said) < 4000, f"{case}: {said[:300]}"
+        assert not code or said.strip(), f"{case}: it says nothing"
+
+
 @pytest.mark.parametrize(
     "words",
     [
         ("tasks", "sample", "--seed", "-1"),
         ("tasks", "sample", "--episodes", "0"),
         ("generate", "--episodes", "-3", "--out", "run"),
+        ("generate", "--episodes", str(2**63), "--out", "run"),
+        ("assets", "sheet", "--out", "sheet"),
+        ("dataset", "view", "missing", "--out", "9" * 3000),
+        ("gymnasium", "serve", "--host", "\U0001f916"),
         ("generate", "--workers", "0", "--out", "run"),
         ("generate", "--workers", "99999999", "--shard", "3/2", "--out", "run"),
         ("generate", "--size", "0", "--out", "run"),

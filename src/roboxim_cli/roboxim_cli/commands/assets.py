@@ -8,7 +8,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.named import Named
-from roboxim_cli.options import option, parse_size
+from roboxim_cli.options import option, parse_size, require_ending
 
 
 @strict.group()
@@ -21,9 +21,11 @@ def command() -> None:
 @option("out", default="sheet.png", help="File of the picture.")
 @option("renderer", name="renderer_name")
 @option("size", default="256", help="Side of each picture.")
-@click.option("--columns", default=5, show_default=True, type=click.IntRange(1), help="Pictures in a row.")
+@click.option("--columns", default=5, show_default=True, type=click.IntRange(1, 1000), help="Pictures in a row.")
 @click.option("--labels/--no-labels", default=True, show_default=True, help="Names under the pictures.")
-@click.option("--shuffle", type=int, help="Seed of a random order, for a blind test; the order is printed.")
+@click.option(
+    "--shuffle", type=click.IntRange(0), help="Seed of a random order, for a blind test; the order is printed."
+)
 @click.option("--variants", is_flag=True, help="Also draw each colour, material and size.")
 def sheet(
     objects: tuple[str, ...],
@@ -50,6 +52,7 @@ def sheet(
     from roboxim_runs.assets.sheet import contact_sheet, draw_object
     from roboxim_sim.rendering import make_renderer
 
+    require_ending(out, ".png", ".jpg", ".jpeg")
     library = ModelLibrary()
     entities, texts = [], []
     for object_id in objects or library.object_ids:

@@ -75,7 +75,7 @@ class PolicyServer(ABC):
         """
         try:
             self._listen()
-        except OSError as error:
+        except (OSError, TypeError, UnicodeError) as error:  # the last two: of a host that is no name
             raise UnavailableError(f"cannot listen at {self.url}: {error}; choose another --port") from None
         self._thread = threading.Thread(target=self._serve, name=f"serve {self.url}", daemon=True)
         self._thread.start()

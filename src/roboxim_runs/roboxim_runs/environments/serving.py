@@ -75,7 +75,7 @@ class EnvironmentServer:
                 max_size=MESSAGE_BYTES, ping_interval=None,
                 close_timeout=1.0, origins=[None], logger=QUIET,
             )  # fmt: skip
-        except OSError as error:
+        except (OSError, TypeError, UnicodeError) as error:  # the last two: of a host that is no name
             raise UnavailableError(f"cannot listen at {self.url}: {error}; choose another --port") from None
         self.port = self._server.socket.getsockname()[1]
         self._thread = threading.Thread(target=self._server.serve_forever, name=f"serve {self.url}", daemon=True)

@@ -35,6 +35,10 @@ SIZE_PX = (16, 4096)
 """Smallest and largest side of an image."""
 
 
+MOST_EPISODES = 10**7
+"""Largest number of episodes of a run, whose indices are kept in memory."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class EpisodesConfig:
     """Configuration shared by all runs of episodes."""
@@ -116,6 +120,8 @@ class EpisodesConfig:
         if self.store:
             with Store.opened(self.store):
                 pass
+        if self.episodes > MOST_EPISODES:
+            raise ConfigError(f"episodes must be at most {MOST_EPISODES}, got {self.episodes}; begin several runs")
         if self.episodes and not self.indices:
             raise ConfigError(f"shard {self.shard} of {self.episodes} episodes has none; take fewer shards")
 

@@ -87,7 +87,7 @@ def task_text(
     for item in objects:
         _set_models(changed, item)
     if distractors:
-        found = re.fullmatch(r"(\d+)(?:-(\d+))?", distractors)
+        found = re.fullmatch(r"(\d{1,6})(?:-(\d{1,6}))?", distractors)
         if not found:
             raise ConfigError(f"--distractors must be a number or a range such as 1-3, got '{distractors}'")
         low = int(found[1])

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.options import option
+from roboxim_cli.options import option, require_ending
 from roboxim_core.whole_files import write_whole
 
 _PREFIX = "_dataset_"
@@ -215,14 +215,12 @@ def view(dataset: Path, episode: int, frames: int, out: Path | None) -> None:
     roboxim dataset view runs/rlds --episode 3
     roboxim dataset view runs/demos --episode 3            # bags, too; roboxim show also says why they ended so
     """
-    from roboxim_core.errors import ConfigError
     from roboxim_datasets.view import contact_sheet, encoded, page
     from roboxim_runs.datasets.viewing import viewed_episode
 
     file = out or Path(f"episode-{episode}.html")
     kinds = {".html": "", ".png": "PNG", ".jpg": "JPEG"}
-    if file.suffix not in kinds:
-        raise ConfigError(f"--out must end in {', '.join(kinds)}, got {file}")
+    require_ending(file, *kinds)
     found, names = viewed_episode(dataset, episode)
     if kinds[file.suffix]:
         write_whole(file, encoded(contact_sheet(found, frames), kinds[file.suffix]))
