@@ -108,6 +108,8 @@ def train_policy(
         data, held_out = read.split(settings.held_out, settings.seed)
         del read  # its images are copies
     make_folder(folder)
+    for left in folder.glob(".*.partial"):  # by a killed training, see `whole_files`
+        left.unlink(missing_ok=True)
     with reporter.stage("encoding pictures") if settings.ENCODER else nullcontext(_untold) as encoding:
         trainer = Trainer(data, settings, folder, encoding=encoding, held_out=held_out, start=began_with)
     name_dataset(Path(dataset), folder)
