@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import shutil
 import struct
+import subprocess
+import sys
 import tracemalloc
 import zlib
 from collections.abc import Callable, Iterator
@@ -287,3 +289,40 @@ def test_the_size_that_a_video_s_container_claims_alone_does_not_matter(filmed: 
     data[at : at + 4] = struct.pack(">HH", 65535, 65535)
     file.write_bytes(data)
     assert read_all(path) == ROWS
+
+
+FLIPS = """
+import sys
+from pathlib import Path
+from roboxim_core.errors import RoboximError
+from roboxim_datasets.files import reading
+from roboxim_datasets.lerobot.parquet_file import open_parquet
+
+file = Path(sys.argv[1])
+whole = file.read_bytes()
+start = len(whole) - 8 - int.from_bytes(whole[-8:-4], "little")
+for at in range(start, len(whole), 3):
+    file.write_bytes(whole[:at] + bytes([whole[at] ^ 16]) + whole[at + 1 :])
+    try:
+        with reading("it"):
+            open_parquet(file.parent, file.name)
+    except RoboximError:
+        pass
+"""
+"""Opens a Parquet file with one bit changed, each third byte of its footer in turn."""
+
+
+@pytest.mark.thorough
+def test_no_bit_of_a_parquet_footer_ends_the_process(tmp_path: Path) -> None:
+    """pyarrow 26.0.1 aborts at some of them when it is asked for the sizes of columns."""
+    file = lerobot30(tmp_path / "a") / DATA
+    done = subprocess.run([sys.executable, "-c", FLIPS, str(file)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_the_sizes_that_a_parquet_footer_states_are_those_that_pyarrow_reads(tmp_path: Path) -> None:
+    for file in lerobot30(tmp_path / "a").rglob("*.parquet"):
+        groups = [pq.read_metadata(file).row_group(k) for k in range(pq.read_metadata(file).num_row_groups)]
+        chunks = [group.column(k) for group in groups for k in range(group.num_columns)]
+        expected = sum(max(chunk.total_uncompressed_size, 8 * chunk.num_values) for chunk in chunks)
+        assert parquet_file._unpacked_bytes(file) == expected
