@@ -75,12 +75,21 @@ def test_a_skill_of_a_file_is_a_task_like_any_other(tmp_path, library):
     assert task_text(skill=f"{file}:Touch", lights=["evening"]) != text, "a changed file would continue another run"
 
 
+def test_distractors_of_a_skill_in_a_file_can_be_told_from_its_object(tmp_path):
+    (tmp_path / "touch.py").write_text(SKILL)
+    config = parse_task_config(task_text(skill=f"{tmp_path}/touch.py:Touch", distractors="2"))
+    assert len(config.distractors.models.values) > 10
+    own = parse_task_config(task_text("pick_cube", distractors="2"))
+    assert own.distractors.models.values == ("cube",)  # as the task says, in other colours
+
+
 def test_mistakes_in_a_skills_file_are_named(tmp_path):
     file = tmp_path / "wrong.py"
     for content, complaint in (
         ("1 / 0", "raises ZeroDivisionError: division by zero"),
         ("import math", "has no skill 'Touch'"),
         (SKILL.replace("class Touch(Skill):", "class Touched(Skill):"), "did you mean 'Touched'"),
+        (SKILL.partition("    def stages")[0], "skill 'touch' of .*wrong.py has no evaluator, stages"),
         (SKILL.replace("    templates", "    name = 'stack'\n    templates"), "skill 'stack' is registered twice"),
     ):
         file.write_text(content)

@@ -91,7 +91,10 @@ def task_text(
         if not found:
             raise ConfigError(f"--distractors must be a number or a range such as 1-3, got '{distractors}'")
         low = int(found[1])
-        changed.setdefault("distractors", {}).update(minimum=low, maximum=int(found[2] or low))
+        drawn = changed.setdefault("distractors", {})
+        drawn.update(minimum=low, maximum=int(found[2] or low))
+        if "cells" not in data:  # of a mix each task has its own
+            drawn.setdefault("models", {"values": _graspable_models()})
     if colors:
         target = changed.setdefault("objects", {}).setdefault("target", {})
         target.setdefault("modifiers", {})["color"] = {"values": [color.strip() for color in colors.split(",")]}
@@ -279,6 +282,14 @@ def _set_models(data: dict[str, Any], item: str) -> None:
     config = data.setdefault("objects", {}).setdefault(role or "target", {}) or {}
     set_models(config, names, library)
     data["objects"][role or "target"] = config
+
+
+def _graspable_models() -> list[str]:
+    """Return the objects that distractors are drawn from where a task does not say it."""
+    from roboxim_core.models.library import ModelLibrary
+
+    library = ModelLibrary()
+    return [name for name in library.object_ids if "graspable" in library.object(name).affordances]
 
 
 def set_models(section: dict[str, Any], names: Sequence[str], library: ModelLibrary) -> None:

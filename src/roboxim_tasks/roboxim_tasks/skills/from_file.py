@@ -76,6 +76,8 @@ def load_skill_file(spec: str) -> str:
             "hold_s: float = 0.5; leave it out if there are none"
         )
     cls.name = cls.name or re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+    if missing := sorted(getattr(cls, "__abstractmethods__", ())):
+        raise ConfigError(f"skill '{cls.name}' of {path} has no {', '.join(missing)}; define each as a method")
     if cls.name not in set(SKILLS) - before:
         SKILLS.register(cls.name)(cls())
     _loaded[path, name] = cls.name
