@@ -68,11 +68,12 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
         f"The main job, {scale.minutes} on 2 cores: {scale.demonstrations} demonstrations, {scale.steps} training "
         f"steps, {scale.rollouts} rollouts.\nTo fit that time, the demo uses few demonstrations and images of "
         f"{scale.size} px. The scenes vary in full: the cube anywhere in 20 x 30 cm at any yaw, "
-        "the start anywhere in a 12 cm box."
+        "the start anywhere in a 12 cm box, in twelve rooms."
     )
     demos, dataset, trained, evaluation = out / "demos", out / "rlds", out / "bc", out / "evaluation"
     lerobot = out / "lerobot"
     common = ["--seed", str(seed), "--workers", str(workers), "--renderer", renderer, "--size", scale.size]
+    common += ["--look", "varied"]
     rollouts = str(scale.rollouts)
     started = time.monotonic()
     _step("generate", "--out", str(demos), "--episodes", str(scale.demonstrations), *scale.generation, *common)
