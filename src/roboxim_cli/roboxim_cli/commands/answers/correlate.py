@@ -15,7 +15,7 @@ from roboxim_cli.options import option
 @click.argument("ours", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 @click.option("--names", default="reality,simulation", show_default=True, metavar="A,B", help="Names of both.")
 @click.option(
-    "--limit", default=0.5, show_default=True, type=click.FloatRange(-1, 1),
+    "--threshold", "limit", default=0.5, show_default=True, type=click.FloatRange(-1, 1),
     help="Correlation that more policies are to show.",
 )  # fmt: skip
 @click.option("--no-plan", is_flag=True, help="Do not simulate how many policies would decide it.")
