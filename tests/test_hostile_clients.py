@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from websockets.sync.client import ClientConnection
 
 pytest.importorskip("rclpy")
 
@@ -213,7 +214,15 @@ def test_only_loopback_addresses_are_kept_from_other_users(host, status):
         assert other_user(server.port, reached).startswith(b"HTTP/1.1 " + status)
 
 
-def test_remote_policy_is_told_that_the_server_is_another_users(monkeypatch):
+@pytest.mark.parametrize("late_s", [0.0, 0.3])
+def test_remote_policy_is_told_that_the_server_is_another_users(monkeypatch, late_s):
+    handshake = ClientConnection.handshake
+
+    def late(connection, *arguments, **options):  # the refusal comes before the request is sent
+        time.sleep(late_s)
+        handshake(connection, *arguments, **options)
+
+    monkeypatch.setattr(ClientConnection, "handshake", late)
     monkeypatch.setattr("roboxim_policies.serving.listening.user_of_peer", lambda connection: 12345)
     with policy_server(Still, "openpi", port=0) as server:
         wire = find_wire("openpi")(server.url, reconnect_s=0.0)

@@ -46,7 +46,7 @@ def held_out_sets(cells: Sequence[Cell], sets: int, held_out: int) -> tuple[tupl
     if held_out < 1 or sets * held_out > len(cells):
         raise ConfigError(
             f"{sets} disjoint sets of {held_out} cells need {sets * held_out} cells, the experiment has {len(cells)}; "
-            "give fewer sets, or fewer cells a set"
+            f"give at most {len(cells) // sets} cells a set, or fewer sets"
         )
     number = len(cells)
     rows, low, high = [], [], []

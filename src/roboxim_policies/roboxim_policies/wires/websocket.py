@@ -49,16 +49,19 @@ class WebSocket:
         from websockets.sync.client import ClientConnection, connect
 
         class Direct(ClientConnection):
-            """A connection that ends with an error of its own at a redirect, so that it is not followed."""
+            """A connection that follows no redirect, and hears a refusal that comes before its request has gone."""
 
             def handshake(self, *arguments: Any, **options: Any) -> None:
                 try:
                     super().handshake(*arguments, **options)
-                except InvalidStatus as error:
-                    response = error.response
+                except (InvalidStatus, ConnectionClosed) as error:
+                    refused = error if isinstance(error, InvalidStatus) else self.protocol.handshake_exc
+                    if not isinstance(refused, InvalidStatus):
+                        raise
+                    response = refused.response
                     if response.status_code in REDIRECTS:
                         raise redirected(server, response.status_code, response.headers.get("Location")) from None
-                    raise
+                    raise refused from None
 
         self._server = server
         try:
