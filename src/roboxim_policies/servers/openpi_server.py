@@ -253,7 +253,7 @@ class _Listener(socket.socket):
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listening = socket.create_server((host, port), family=family, backlog=socket.SOMAXCONN)
         made = cls(family, socket.SOCK_STREAM, fileno=listening.detach())
-        made.accepted, made.refused = [], []
+        made.accepted, made.refusing = [], threading.BoundedSemaphore(8)
         loopback = ipaddress.ip_address(made.getsockname()[0]).is_loopback
         made.all_users = all_users or not loopback or not _kernel_tells()
         return made
@@ -269,10 +269,22 @@ class _Listener(socket.socket):
                 found.close()
                 continue
             print("refused a connection of another user; --all-users lets all connect", file=sys.stderr)
-            with contextlib.suppress(OSError):
-                found.sendall(b"HTTP/1.1 403 Forbidden\r\nContent-Length: %d\r\n\r\n%b" % (len(OTHERS), OTHERS))
-                found.shutdown(socket.SHUT_WR)
-            self.refused = [*self.refused[-7:], found]  # one that is closed at once may lose its last words
+            if self.refusing.acquire(blocking=False):
+                threading.Thread(target=self._say_why, args=(found,), daemon=True).start()
+            else:
+                found.close()
+
+    def _say_why(self, found: socket.socket) -> None:
+        """Refuse a client once it has asked: one that is refused before may not hear it."""
+        try:
+            with found, contextlib.suppress(OSError):
+                found.settimeout(2.0)
+                if found.recv(65536):
+                    found.sendall(b"HTTP/1.1 403 Forbidden\r\nContent-Length: %d\r\n\r\n%b" % (len(OTHERS), OTHERS))
+                    found.shutdown(socket.SHUT_WR)
+                    found.recv(65536)  # until the client has read it
+        finally:
+            self.refusing.release()
 
     def close(self) -> None:
         with contextlib.suppress(OSError):

@@ -15,6 +15,7 @@ import logging
 import os
 import socket
 import struct
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -23,6 +24,8 @@ from roboxim_policies.wires.websocket import OTHERS
 
 MOST_CONNECTIONS = 320
 """Largest number of open connections of a server: more than its sessions, of which a shared policy has 256."""
+MOST_REFUSED, REFUSING_S, RECEIVED_BYTES = 8, 2.0, 65536
+"""Clients that are told at once why they are refused, the time for each of its two messages, and their size."""
 NETLINK_SOCK_DIAG, SOCK_DIAG_BY_FAMILY, NLM_F_REQUEST, ANY = 4, 20, 1, 0xFFFFFFFF
 """Linux's numbers for a question about one connection."""
 REFUSAL = b"HTTP/1.1 403 Forbidden\r\nContent-Length: %d\r\nConnection: close\r\n\r\n%b" % (len(OTHERS), OTHERS)
@@ -43,7 +46,7 @@ class BoundedListener(socket.socket):
         """Make a socket; see `of` and `at`."""
         super().__init__(*arguments, **options)
         self._accepted: list[socket.socket] = []
-        self._refused: list[socket.socket] = []
+        self._refusing = threading.BoundedSemaphore(MOST_REFUSED)
         self._all_users = True
         self._log: Callable[[str], None] = lambda text: None
 
@@ -101,13 +104,22 @@ class BoundedListener(socket.socket):
                 return accepted, address
 
     def _refuse(self, accepted: socket.socket) -> None:
-        """Say why, and close the connection a few others later: one that is closed at once may lose its last words."""
-        with suppress(OSError):
-            accepted.sendall(REFUSAL)
-            accepted.shutdown(socket.SHUT_WR)
-        self._refused.append(accepted)
-        while len(self._refused) > 8:
-            self._refused.pop(0).close()
+        """Say why, in a thread of a bounded number: a client that is refused before it has asked may not hear it."""
+        if self._refusing.acquire(blocking=False):
+            threading.Thread(target=self._say_why, args=(accepted,), name="refuse", daemon=True).start()
+        else:
+            accepted.close()
+
+    def _say_why(self, accepted: socket.socket) -> None:
+        try:
+            with accepted, suppress(OSError):
+                accepted.settimeout(REFUSING_S)
+                if accepted.recv(RECEIVED_BYTES):
+                    accepted.sendall(REFUSAL)
+                    accepted.shutdown(socket.SHUT_WR)
+                    accepted.recv(RECEIVED_BYTES)  # until the client has read it
+        finally:
+            self._refusing.release()
 
     def end(self) -> None:
         """End an `accept` that waits in another thread, which closing alone does not."""
@@ -117,8 +129,6 @@ class BoundedListener(socket.socket):
     def close(self) -> None:
         """Close the socket, and end an `accept` that waits."""
         self.end()
-        for refused in self._refused:
-            refused.close()
         super().close()
 
 
