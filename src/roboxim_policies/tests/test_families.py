@@ -125,6 +125,7 @@ def test_a_sample_is_given_in_the_words_of_a_set():
         config("rt1s", wordings="train")
 
 
+@pytest.mark.thorough
 def test_features_that_are_never_used_have_no_weights(tmp_path):
     sizes = {}
     for share in (0.5, 1.0):
