@@ -49,7 +49,9 @@ NOT_RUN = {
     r"url=ws://": "a model's server: test_policy_servers.py",
     r"^(experiment run|benchmark transfer|pretrain) ": "minutes to hours of stages: .ci/run, test_experiment_shards.py",
     r"--depth-unit": "a dataset with depth: tests of roboxim_datasets",
-    r"^(benchmark (mine/|report)|experiment (join|pack|compare|collect)|merge '?runs/so) ?": "hours",
+    r"^(benchmark (mine/|report)|experiment (join|pack|compare)) ?": "finished runs: test_experiment_results.py",
+    r"^experiment collect": "a card of all cells: test_collection.py",
+    r"^merge '?runs/so": "finished shards: test_experiment_shards.py",
     r"^(experiment report|show) runs/(smoke|so|so-laptop)\b": "a run of minutes to hours: .ci/run",
     r"runs/ablation/|runs/broad/": "what a benchmark or a pre-training of minutes to hours leaves",
     r"^correlate ": "results of three policies or more, e.g. on real robots: test_correlating.py",
@@ -220,7 +222,7 @@ def test_commands_of_a_page_run(page: str, reader: Path, made: Path, monkeypatch
 
 def started(words: list[str], folder: Path) -> subprocess.Popen[bytes]:
     """Start a command that serves, and return once it says that it does."""
-    log = folder / "server.log"
+    log = folder / f"{'-'.join(words[:2])}.log"  # each has its own: what one says must not stand for another
     with log.open("wb") as out:
         server = subprocess.Popen([PROGRAM, *words], cwd=folder, env=environment(folder), stdout=out, stderr=out)
     eventually(lambda: server.poll() is not None or re.search(r"\bis up\b|\bserves\b|\brecording\b", log.read_text()))
