@@ -214,6 +214,18 @@ def test_only_loopback_addresses_are_kept_from_other_users(host, status):
         assert other_user(server.port, reached).startswith(b"HTTP/1.1 " + status)
 
 
+def test_a_server_goes_on_when_the_kernel_cannot_tell_a_user(monkeypatch):
+    def out_of_descriptors(connection):
+        raise OSError(24, "Too many open files")
+
+    with policy_server(Still, "openpi", port=0) as server:
+        with monkeypatch.context() as patched:
+            patched.setattr("roboxim_policies.serving.listening.user_of_peer", out_of_descriptors)
+            with pytest.raises(PolicyError, match="HTTP status 403"):
+                find_wire("openpi")(server.url, reconnect_s=0.0).connect()
+        assert answers(server)
+
+
 @pytest.mark.parametrize("late_s", [0.0, 0.3])
 def test_remote_policy_is_told_that_the_server_is_another_users(monkeypatch, late_s):
     handshake = ClientConnection.handshake

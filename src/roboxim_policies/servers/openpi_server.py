@@ -262,7 +262,7 @@ class _Listener(socket.socket):
         while True:
             found, address = super().accept()
             self.accepted = [known for known in self.accepted if known.fileno() != -1]
-            if len(self.accepted) < self.most and (self.all_users or _user_of_peer(found) in (os.geteuid(), 0)):
+            if len(self.accepted) < self.most and (self.all_users or self._knows(found)):
                 self.accepted.append(found)
                 return found, address
             if len(self.accepted) >= self.most:
@@ -273,6 +273,12 @@ class _Listener(socket.socket):
                 threading.Thread(target=self._say_why, args=(found,), daemon=True).start()
             else:
                 found.close()
+
+    def _knows(self, found: socket.socket) -> bool:
+        try:
+            return _user_of_peer(found) in (os.geteuid(), 0)
+        except OSError:  # e.g. no more file descriptors: no client may end `accept`
+            return False
 
     def _say_why(self, found: socket.socket) -> None:
         """Refuse a client once it has asked: one that is refused before may not hear it."""

@@ -94,7 +94,7 @@ class BoundedListener(socket.socket):
             self._accepted = [known for known in self._accepted if known.fileno() != -1]
             if len(self._accepted) >= self.most:
                 accepted.close()
-            elif not self._all_users and (user := user_of_peer(accepted)) not in (os.geteuid(), 0):
+            elif not self._all_users and (user := _known_user(accepted)) not in (os.geteuid(), 0):
                 self._log(
                     f"refused a connection of {'an unknown user' if user is None else f'the user with id {user}'}"
                 )
@@ -141,6 +141,14 @@ def _kernel_tells(log: Callable[[str], None]) -> bool:
         except (OSError, AttributeError) as error:
             log(f"every user of this machine can connect: the kernel does not tell users apart ({error})")
             return False
+
+
+def _known_user(connection: socket.socket) -> int | None:
+    """Return the user at the other end; None where the kernel cannot tell now, so that no client ends `accept`."""
+    try:
+        return user_of_peer(connection)
+    except OSError:  # e.g. no more file descriptors
+        return None
 
 
 def user_of_peer(connection: socket.socket) -> int | None:
