@@ -181,7 +181,9 @@ class EvaluatorNode(RoboximNode):
     def _make_ports(self, config: RunConfig) -> Ports:
         if self._ports is None:
             self._ports = RosPorts(self.context, self.get_namespace())
-        actor, recorder = self._ports.for_run(config.actor, config.policy_timeout_s or 30.0, config.output_dir)
+        actor, recorder = self._ports.for_run(
+            config.actor, config.policy_timeout_s or RunConfig.policy_timeout_s, config.output_dir
+        )
         return Ports(
             scenes=self._ports.tasks, sim=self._ports.sim, actor=actor, judge=self._ports.tasks, recorder=recorder,
             clock=time.monotonic,

@@ -80,7 +80,9 @@ class PlannerNodeConfig:
 
     robot: str = parameter("panda", "id of the robot model for requests that name none")
     timeout_s: float = parameter(30.0, "wall-clock limit for requests that give none [s]", 0.001, limits.WALL_TIME_S)
-    padding_m: float = parameter(0.005, "distance that searches keep from obstacles by default [m]", 0.0, 0.1)
+    padding_m: float = parameter(
+        PlannerConfig.padding_m, "distance that searches keep from obstacles by default [m]", 0.0, 0.1
+    )
     scene_wait_s: float = parameter(5.0, "longest wait for a scene revision that has not arrived yet [s]", 0.0, 60.0)
     dump_dir: str = parameter("", "folder for dumps of failures; empty: roboxim/planner in the user's cache folder")
     dumps_kept: int = parameter(100, "largest number of dumps in the folder; 0: no dumps are written", 0, 100000)

@@ -1,4 +1,7 @@
-"""Reset component ``distractors``: placement of the objects that the task is not about."""
+"""Reset component ``distractors``: placement of the objects that the task is not about.
+
+Which objects these are is drawn in `roboxim_tasks.sampling.generators`.
+"""
 
 from __future__ import annotations
 
