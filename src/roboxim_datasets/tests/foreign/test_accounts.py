@@ -69,7 +69,7 @@ def test_every_row_and_column_of_a_lerobot_dataset_is_accounted_for(episodes: li
         assert numbers(dataset.account, "key") == dict.fromkeys(table.column_names, len(episodes))
         for number in range(EPISODES):  # an episode whose rows are others than the table says is never read
             if episodes.count(number) != STEPS:
-                place = next(p for places in dataset._places.values() for p in places if p.number == number)
+                place = next(p for places in dataset.meta.splits.values() for p in places if p.number == number)
                 with pytest.raises(RoboximError, match=f"episode {number}: .* rows, but the table"):
                     dataset._rows(place, ["action"])
 
