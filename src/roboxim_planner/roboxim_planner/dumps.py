@@ -22,9 +22,10 @@ from roboxim_core.models.description import Shape
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.user_folders import cache_dir, expanded
+from roboxim_planner.checks import PlannerConfig, no_watch
 from roboxim_planner.collisions.geometry import mesh_points
 from roboxim_planner.motions.paths import Watch
-from roboxim_planner.pipeline import PathIncompleteError, Planner, PlannerConfig, no_watch
+from roboxim_planner.pipeline import PathIncompleteError, Planner
 from roboxim_planner.queries import QUERIES, Answer, Query, run_query
 from roboxim_planner.scene import Body, PlanningScene, PointHull
 

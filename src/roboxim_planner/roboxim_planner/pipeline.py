@@ -7,25 +7,23 @@ seed. A deadline can only end a request (see `Watch`), never change its answer.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
-from roboxim_core.models.description import RobotModel
-from roboxim_core.poses import IDENTITY, Pose
+from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError
+from roboxim_core.poses import Pose
+from roboxim_planner.checks import PlannerConfig, SceneChecks, in_base, no_watch
 from roboxim_planner.collisions.checker import CollisionWorld
 from roboxim_planner.collisions.sweep import PaddedSweep, Sweep
 from roboxim_planner.constraint import Upright
-from roboxim_planner.ik import IkConfig, IkSolver
 from roboxim_planner.motions.lines import plan_line
 from roboxim_planner.motions.paths import IMPROVERS, SearchConfig, Watch, improve, search, shorten, without_repeats
 from roboxim_planner.motions.points import Trajectory
-from roboxim_planner.motions.timing import Motion, MotionLimits, MotionSequence, still, time_path
-from roboxim_planner.motions.verify import Finding, verify_motion, verify_samples
+from roboxim_planner.motions.timing import Motion, MotionSequence, still, time_path
+from roboxim_planner.motions.verify import verify_motion
 from roboxim_planner.plans import MotionOptions, PathIncompleteError, Plan
-from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
 
 Array = npt.NDArray[np.float64]
@@ -41,40 +39,8 @@ _PADDINGS = (1.0, 0.2, 1.0, 0.2, 0.2, 0.0)
 __all__ = ["MotionOptions", "PathIncompleteError", "Plan", "Planner", "PlannerConfig", "Trajectory", "Upright"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlannerConfig:
-    """Configuration of the planner."""
-
-    padding_m: float = 0.005
-    """Distance that the search keeps from obstacles where start and goal allow it [m]."""
-    max_blend_rad: float = 0.4
-    """Largest distance from a corner at which its blend begins [rad]."""
-    attempts: int = 6
-    """Largest number of searches, each with another seed, until a motion passes verification; at most 6."""
-    ik: IkConfig = IkConfig()
-    """Inverse kinematics."""
-    search: SearchConfig = SearchConfig()
-    """Path search."""
-
-
-def no_watch(stage: str, iterations: int) -> None:
-    """Watch that never ends a request."""
-
-
-class Planner:
+class Planner(SceneChecks):
     """Plans motions of one robot. Not thread-safe; create one per thread."""
-
-    def __init__(self, robot: RobotModel, config: PlannerConfig | None = None) -> None:
-        """Load the robot.
-
-        Args:
-            robot: The robot's description.
-            config: Configuration; none: the defaults.
-        """
-        self.robot = PlannerRobot(robot)
-        self.config = config or PlannerConfig()
-        self.ik = IkSolver(self.robot, self.config.ik)
-        self._kept: list[PaddedSweep] = []
 
     def plan_to_pose(
         self,
@@ -102,7 +68,7 @@ class Planner:
             raise InvalidRequestError("plan_to_pose needs at least one target pose")
         worlds = self._worlds(scene, options)
         begin = self._check_start(worlds, start)
-        goals = [_in_base(scene.robot_pose, target) for target in targets]
+        goals = [in_base(scene.robot_pose, target) for target in targets]
         _check_upright(options, targets)
         watch("goals", 0)
         for i, goal in enumerate(goals):
@@ -185,7 +151,7 @@ class Planner:
         at, done, reason = begin, 0.0, ""
         for i, waypoint in enumerate(waypoints):
             watch("goals", i)
-            target = _in_base(scene.robot_pose, waypoint)
+            target = in_base(scene.robot_pose, waypoint)
             line = plan_line(self.robot, sweep, at, target, limits, watch, wide=wide)
             motions.append(line.motion)
             at, done, reason = line.end, done + line.part, line.reason
@@ -202,123 +168,6 @@ class Planner:
                 plan,
             )
         return plan
-
-    def check_state(self, scene: PlanningScene, joints: npt.ArrayLike) -> Finding:
-        """Check an arm configuration of shape (dof,) [rad] for joint limits and collisions, without padding."""
-        q = self.robot.check_joints(joints, what="state")
-        world = self._worlds(scene, MotionOptions()).exact
-        return Finding(contacts=world.contacts(q), violations=self.robot.limit_violations(q))
-
-    def check_trajectory(
-        self,
-        scene: PlanningScene,
-        positions: npt.ArrayLike,
-        times: npt.ArrayLike | None = None,
-        velocities: npt.ArrayLike | None = None,
-        accelerations: npt.ArrayLike | None = None,
-        options: MotionOptions | None = None,
-        watch: Watch = no_watch,
-    ) -> Finding:
-        """Check a joint path or sampled trajectory, with straight lines between its points; see `verify_samples`.
-
-        Args:
-            scene: Obstacles to avoid.
-            positions: Arm configurations, shape (N, dof), N >= 1 [rad].
-            times: Strictly increasing, shape (N,) [s]; none: no speeds are checked.
-            velocities: Shape (N, dof) [rad/s]; none: computed from positions and times.
-            accelerations: Shape (N, dof) [rad/s^2]; none: not checked.
-            options: Limits and padding; if they give no padding, 0.
-            watch: Called now and then; ends the request by raising.
-        """
-        options = options or MotionOptions()
-        path = np.atleast_2d(np.asarray(positions, dtype=float))
-        if path.shape[0] == 0 or path.shape[1] != self.robot.dof or not np.isfinite(path).all():
-            raise InvalidRequestError(
-                f"a trajectory needs finite positions of shape (N, {self.robot.dof}), N >= 1, got shape {path.shape}"
-            )
-        clock = None if times is None else np.asarray(times, dtype=float)
-        if clock is not None and (clock.shape != path.shape[:1] or not (np.diff(clock) > 0).all()):
-            raise InvalidRequestError("times of a trajectory must be finite, one per point, and strictly increasing")
-        rates = []
-        for name, values in (("velocities", velocities), ("accelerations", accelerations)):
-            array = None if values is None else np.asarray(values, dtype=float)
-            if array is not None and (array.shape != path.shape or not np.isfinite(array).all()):
-                raise InvalidRequestError(f"{name} must be finite and of the positions' shape {path.shape}")
-            rates.append(array)
-        sweep: Sweep = self._worlds(scene, MotionOptions())
-        if options.padding_m:
-            sweep = Sweep(self.robot, scene, padding=options.padding_m)
-        return verify_samples(sweep, self.limits(options), path, clock, rates[0], rates[1], watch)
-
-    def inverse_kinematics(
-        self,
-        target: Pose,
-        reference: npt.ArrayLike,
-        *,
-        scene: PlanningScene | None = None,
-        robot_pose: Pose | None = None,
-        count: int = 1,
-        seed: int = 0,
-        watch: Watch = no_watch,
-    ) -> Array:
-        """Return arm configurations that put the TCP at a pose, nearest to a reference first.
-
-        Args:
-            target: The TCP in the world.
-            reference: Arm configuration to measure distances from, shape (dof,) [rad].
-            scene: Obstacles that solutions must not touch; none: collisions are not checked.
-            robot_pose: Pose of the base in the world if there is no scene; none: identity.
-            count: Largest number of solutions.
-            seed: Seed of the search.
-            watch: Called now and then; ends the request by raising.
-
-        Returns:
-            Shape (N, dof), 1 <= N <= count.
-
-        Raises:
-            PlannerError: ``GOAL_UNREACHABLE`` or ``GOAL_IN_COLLISION``.
-        """
-        near = self.robot.check_joints(reference, what="seed_state")
-        goal = _in_base(scene.robot_pose if scene is not None else (robot_pose or IDENTITY), target)
-        if count == 1 and scene is None:
-            return self.ik.any(goal, near, seed=seed)[None]
-        world = None if scene is None else self._worlds(scene, MotionOptions()).exact
-        if count == 1 and world is not None:
-            first = self.ik.nearest(goal, near)
-            if first is not None and world.is_free(first):
-                return first[None]
-        watch("goals", 0)
-        solutions = self.ik.solve(goal, near, seed=seed)
-        if world is None:
-            return solutions[:count]
-        free = world.free_states(solutions)
-        if len(free) < count:
-            watch("goals", 1)
-            solutions = self.ik.solve(goal, near, seed=seed + 1, thorough=True)
-            free = world.free_states(solutions)
-        if not free:
-            raise self._no_free_goal(world, solutions)
-        return np.array(free[:count])
-
-    def limits(self, options: MotionOptions) -> MotionLimits:
-        """Return the limits of this robot under the options."""
-        return MotionLimits(
-            velocity=self.robot.max_velocity * options.velocity_scaling,
-            acceleration=self.robot.max_acceleration * options.acceleration_scaling,
-            jerk=self.robot.max_jerk * options.acceleration_scaling,
-            tcp_speed=options.max_tcp_speed_m_s,
-            tcp_rot_speed=options.max_tcp_rot_speed_rad_s,
-        )
-
-    def _worlds(self, scene: PlanningScene, options: MotionOptions) -> PaddedSweep:
-        """Return the geometry of a scene; the last 4 are cached, since successive requests share a scene."""
-        padding = self.config.padding_m if options.padding_m is None else options.padding_m
-        for kept in self._kept:
-            if (kept.search_padding, kept.upright) == (padding, options.upright) and kept.scene == scene:
-                return kept
-        worlds = PaddedSweep(self.robot, scene, padding, options.upright)
-        self._kept = [worlds, *self._kept[:3]]
-        return worlds
 
     def _check_start(self, worlds: PaddedSweep, start: npt.ArrayLike, *, collisions: bool = True) -> Array:
         begin = self.robot.check_joints(start, what="start")
@@ -361,14 +210,6 @@ class Planner:
             raise failure
         order = np.argsort([np.abs(q - begin).max() for q in all_found], kind="stable")
         return np.array(all_found)[order], [owners[k] for k in order]
-
-    @staticmethod
-    def _no_free_goal(world: CollisionWorld, solutions: Array) -> PlannerError:
-        contacts = "; ".join(str(contact) for contact in world.contacts(solutions[0])[:3])
-        return PlannerError(
-            f"no collision-free goal among {len(solutions)} configurations; at the nearest {contacts}",
-            ErrorCode.GOAL_IN_COLLISION,
-        )
 
     def _direct(
         self, worlds: PaddedSweep, begin: Array, goal: Array, options: MotionOptions, owner: int
@@ -492,21 +333,6 @@ class Planner:
             if verify_motion(sweep, self.robot, motion, limits, path[-1], explain=False).valid:
                 return motion, True
         return motion, False
-
-    def named_state(self, name: str) -> Array:
-        """Return a named arm configuration of the robot.
-
-        Raises:
-            InvalidRequestError: On an unknown name; the message lists the known names.
-        """
-        states = {"home": self.robot.description.home, **self.robot.description.named_states}
-        if name not in states:
-            raise InvalidRequestError(f"robot '{self.robot.description.id}': unknown state; {one_of(states, name)}")
-        return np.array(states[name])
-
-
-def _in_base(base: Pose, target: Pose) -> Pose:
-    return target if base == IDENTITY else base.inverse() @ target
 
 
 def _check_upright(options: MotionOptions, targets: list[Pose]) -> None:

@@ -17,8 +17,9 @@ import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError, one_of
 from roboxim_core.poses import Pose
+from roboxim_planner.checks import no_watch
 from roboxim_planner.motions.paths import Watch
-from roboxim_planner.pipeline import MotionOptions, Plan, Planner, no_watch
+from roboxim_planner.pipeline import MotionOptions, Plan, Planner
 from roboxim_planner.scene import AllowedContact, PlanningScene
 
 Array = npt.NDArray[np.float64]

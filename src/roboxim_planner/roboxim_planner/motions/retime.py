@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError
+from roboxim_planner.checks import no_watch
 from roboxim_planner.collisions.sweep import Sweep
 from roboxim_planner.motions.paths import Watch, without_repeats
 from roboxim_planner.motions.timing import still, time_path
 from roboxim_planner.motions.verify import Finding, verify_motion
-from roboxim_planner.pipeline import MotionOptions, Plan, Planner, no_watch
+from roboxim_planner.pipeline import MotionOptions, Plan, Planner
 from roboxim_planner.scene import PlanningScene
 
 Array = npt.NDArray[np.float64]
