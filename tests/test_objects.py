@@ -16,7 +16,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import visual_parts
 from roboxim_core.poses import Array, Pose, distance
 from roboxim_core.specs import EntitySpec, TableSpec
-from roboxim_core.textures import TEXTURES
+from roboxim_core.vision.textures import TEXTURES
 from roboxim_sim.bodies import ObjectBody, build_table, configure
 from roboxim_sim.bullet import BulletClient
 from roboxim_sim.rendering import textures  # registers the room's

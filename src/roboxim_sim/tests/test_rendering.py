@@ -19,8 +19,8 @@ import trimesh
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, SimError
 from roboxim_core.poses import Pose, look_at
 from roboxim_core.specs import CameraSpec, LightSpec, LookSpec, MaterialSpec
-from roboxim_core.textures import ROOM_TEXTURES
 from roboxim_core.vision.renderer import CameraImages, RenderBody, Renderer, RenderWorld, TriangleMesh, VisualPart
+from roboxim_core.vision.textures import ROOM_TEXTURES
 from roboxim_sim.rendering import available_renderers, make_renderer, textures
 
 CUBE_M = 0.06

@@ -21,8 +21,8 @@ from roboxim_core.models.object_config import ObjectConfig
 from roboxim_core.models.urdf import urdf_root
 from roboxim_core.models.visuals import visual_parts
 from roboxim_core.poses import Array, Pose
-from roboxim_core.textures import pixels
 from roboxim_core.vision.renderer import TriangleMesh
+from roboxim_core.vision.textures import pixels
 
 LARGEST_M, SMALLEST_M = 1.5, 0.004
 """Limits of an object's longest side [m]; beyond them the file probably uses another unit."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.textures import SIZE, TEXTURES, Field, grid, noise
+from roboxim_core.vision.textures import SIZE, TEXTURES, Field, grid, noise
 
 PLATE_LINES = ((0.538, 0.010), (0.561, 0.0035))
 """Painted lines of a plate: position along its profile and half width."""

@@ -27,8 +27,8 @@ from roboxim_core.models.urdf import mesh_path, origin_pose
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.specs import CameraSpec, MaterialSpec, SceneSpec, TableSpec
 from roboxim_core.state import RobotState, StateRecord
-from roboxim_core.textures import base_color_image
 from roboxim_core.vision.renderer import RenderBody, RenderWorld, TriangleMesh, VisualPart
+from roboxim_core.vision.textures import base_color_image
 
 if TYPE_CHECKING:
     import trimesh
@@ -301,7 +301,7 @@ def _mesh_of(mesh: trimesh.Trimesh) -> TriangleMesh:
 
 
 def _material_of(mesh: trimesh.Trimesh, name: str) -> MaterialSpec:
-    """Return a mesh's own material; `roboxim_core.textures.pixels` finds its image by ``name``."""
+    """Return a mesh's own material; `roboxim_core.vision.textures.pixels` finds its image by ``name``."""
     import trimesh
 
     material = getattr(mesh.visual, "material", None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import roboxim_core.models.textures  # noqa: F401  (registers the objects' textures)
-from roboxim_core.textures import SIZE, TEXTURES, Field, grid, noise, pixels, rolled
+from roboxim_core.vision.textures import SIZE, TEXTURES, Field, grid, noise, pixels, rolled
 
 TILE_M = 0.8
 """Side of the square that one tile covers on a mesh without texture coordinates [m]."""

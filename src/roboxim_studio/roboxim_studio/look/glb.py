@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.specs import MaterialSpec
-from roboxim_core.textures import pixels
 from roboxim_core.vision.renderer import RenderBody, VisualPart
+from roboxim_core.vision.textures import pixels
 from roboxim_sim.rendering.geometry import linear, textured
 
 TEXTURE_PX = 256

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, MaterialSpec, Scalar
-from roboxim_core.textures import ROOM_TEXTURES
+from roboxim_core.vision.textures import ROOM_TEXTURES
 from roboxim_studio.editing import document as edits
 from roboxim_studio.editing.desk import Desk
 from roboxim_tasks.fixed_scene import FixedTask

@@ -8,7 +8,7 @@ from pathlib import Path
 import roboxim_core.models.textures  # noqa: F401  (registers the objects' textures)
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import MaterialSpec, SceneSpec
-from roboxim_core.textures import ROOM_TEXTURES, TEXTURES
+from roboxim_core.vision.textures import ROOM_TEXTURES, TEXTURES
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 
