@@ -28,12 +28,60 @@ finally:
 """
 
 
+AT_ONCE = {
+    "action", "completion", "demo", "doctor", "down", "env", "interface", "node", "param", "runs", "schema", "service",
+    "topic", "bag info", "dataset info", "dataset replay", "experiment list", "planner dumps",
+    "policy conventions", "policy describe", "policy list", "policy new-server", "tasks",
+}
+"""Commands that answer at once, or, of a running graph, say themselves for what they wait."""
+BEGUN = f"""
+import sys, click
+from roboxim_cli.main import group
+echo = click.echo
+def heard(text, **more):
+    echo(text, **more)
+    print("imported:", sorted(sys.modules.keys() & {NUMERICS!r}), flush=True)
+click.echo = heard
+group.main(sys.argv[1:], prog_name="roboxim", standalone_mode=False)
+"""
+"""Runs a command and prints, with each line that it says, which libraries it has imported until then."""
+WALK = """
+import sys, click
+from roboxim_cli.main import group
+def walk(group, context, name):
+    for word in group.list_commands(context):
+        command = group.get_command(context, word)
+        if isinstance(command, click.Group):
+            walk(command, click.Context(command), [*name, word])
+        else:
+            print(" ".join([*name, word]), getattr(command, "begins", ""), sep=":")
+walk(group, click.Context(group), [])
+assert not (found := sorted(sys.modules.keys() & set(sys.argv[1].split()))), f"imports {found}"
+"""
+
+
 def imports_none(forbidden: set[str], *words: object) -> str:
     """Run a command in a new process, which must not import a module; return its output."""
     command = [sys.executable, "-c", SCRIPT, *map(str, words), " ".join(forbidden)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
     assert done.returncode == 0, f"{words}: {done.stderr}"
     return done.stdout
+
+
+def test_every_slow_command_says_at_once_what_begins():
+    words = [sys.executable, "-c", WALK, " ".join(NUMERICS - {"rclpy"})]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr
+    said = dict(line.split(":") for line in done.stdout.splitlines())
+    silent = {name for name, begins in said.items() if not begins}
+    assert {name for name in silent if not {name, name.split()[0]} & AT_ONCE} == set()
+
+
+def test_a_conversion_says_what_begins_before_its_libraries_are_imported(tmp_path):
+    words = ["dataset", "convert", "lerobot", tmp_path / "none", "--out", tmp_path / "out"]
+    done = subprocess.run([sys.executable, "-c", BEGUN, *map(str, words)], capture_output=True, text=True, check=False)
+    assert done.stderr.startswith("converting ...\n"), done.stderr
+    assert done.stdout == "imported: []\n"
 
 
 def test_help_and_runs_import_no_library(runtime):

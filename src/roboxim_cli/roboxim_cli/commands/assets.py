@@ -16,7 +16,7 @@ def command() -> None:
     """Draw the objects on one contact sheet; import, check, draft or simplify your own."""
 
 
-@command.command("sheet")
+@command.command("sheet", begins="drawing objects")
 @click.argument("objects", type=Named("object"), nargs=-1)
 @option("out", default="sheet.png", help="File of the picture.")
 @option("renderer", name="renderer_name")
@@ -81,7 +81,7 @@ def sheet(
     )
 
 
-@command.command("check")
+@command.command("check", begins="checking objects")
 @click.argument("targets", nargs=-1, required=True)
 def check(targets: tuple[str, ...]) -> None:
     r"""Check objects, given as ids or as paths of YAML files. The exit code is 1 when an object has errors.
@@ -105,7 +105,7 @@ def check(targets: tuple[str, ...]) -> None:
         raise RoboximError(f"{errors} of {len(targets)} objects cannot be used as they are", ErrorCode.INVALID_CONFIG)
 
 
-@command.command("import")
+@command.command("import", begins="importing")
 @click.argument("meshes", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @option("out", default="my_objects", help="Configuration folder; the objects are written into its folder objects/.")
 @click.option("--unit", default="", metavar="m|cm|mm|in", help="Unit of the files; default: guessed, and said.")
@@ -167,7 +167,7 @@ def import_(
         raise RoboximError(f"{failed} of {len(meshes)} meshes were not imported", ErrorCode.INVALID_CONFIG)
 
 
-@command.command("new")
+@command.command("new", begins="making the object")
 @click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("--unit", default="", metavar="m|cm|mm|in", help="Unit of the file; default: the one that fits a table.")
 @click.option("--up", default="", metavar="z|y", help="Axis of the file that points up; y writes a turned copy.")
@@ -196,7 +196,7 @@ def new(mesh: Path, unit: str, up: str) -> None:
     click.echo(starter(mesh, guess, up or "z"), nl=False)
 
 
-@command.command("simplify")
+@command.command("simplify", begins="simplifying")
 @click.argument("mesh", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option(
     "--triangles", default=1500, show_default=True, type=click.IntRange(20), help="Approximate number of triangles."

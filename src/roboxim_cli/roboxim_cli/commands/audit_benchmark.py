@@ -21,7 +21,7 @@ def _options(words: tuple[str, ...]) -> dict[str, Any]:
     return {key: yaml.safe_load(value) for key, _, value in (word.partition("=") for word in words)}
 
 
-@strict.command()
+@strict.command(begins="auditing the benchmark")
 @click.argument("environment")
 @click.option("--seeds", default=8, show_default=True, help="Number of seeds whose scenes are compared.")
 @click.option("--steps", default=20, show_default=True, help="Number of steps of a probe.")

@@ -12,7 +12,7 @@ def command() -> None:
     """Serve the Gymnasium environments to programs of other Python environments, e.g. LeRobot."""
 
 
-@command.command("serve")
+@command.command("serve", begins="starting the environment")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen at.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True, help="Port; 0: any.")
 @click.option(

@@ -43,7 +43,7 @@ def dumps(folder: Path | None) -> None:
         click.echo(f"{path}\n  {outcome}")
 
 
-@command.command("replay")
+@command.command("replay", begins="planning")
 @click.argument("dump")
 @click.option("--no-deadline", is_flag=True, help="Ignore the request's deadline, e.g. after a timeout.")
 @_folder_option
@@ -75,7 +75,7 @@ def replay(dump: str, no_deadline: bool, folder: Path | None) -> None:
     click.echo("  the same answer")
 
 
-@command.command("show")
+@command.command("show", begins="drawing")
 @click.argument("source")
 @click.option(
     "--out", type=click.Path(path_type=Path), default="planner", show_default=True, help="Folder of pictures."

@@ -18,7 +18,7 @@ def command() -> None:
     """Serve a policy to the graph, list the registered ones, and explain conventions."""
 
 
-@command.command("serve")
+@command.command("serve", begins="starting the policy")
 @click.argument("spec", type=Named("policy"))
 @click.option("--namespace", default="policy", show_default=True, help="Namespace of its services.")
 @click.option(
@@ -136,7 +136,7 @@ def new_server(out: Path) -> None:
     click.echo(f"wrote {out}: derive a class from its Model, and call its serve()")
 
 
-@command.command("check", old={"--sheet": "--out"})
+@command.command("check", begins="checking the policy", old={"--sheet": "--out"})
 @click.option("--policy", "spec", type=Named("policy"), required=True, help="A remote policy: openpi, vla_eval, ...")
 @click.option(
     "-o", "--option", "options", multiple=True, metavar="KEY=VALUE",

@@ -24,7 +24,7 @@ def _numbers(ctx: click.Context, param: click.Parameter, text: str) -> tuple[flo
         raise click.BadParameter(f"expected numbers such as 1.5 or 1.5,1.5,2, got '{text}'") from None
 
 
-@command.command("new")
+@command.command("new", begins="making the robot")
 @click.argument("source", type=click.Path(path_type=Path, exists=True, dir_okay=False))
 @click.option("--name", default="", help="Id of the robot; default: the file's name.")
 @click.option("--base", default="", metavar="LINK", help="Root link of the arm; default: the URDF's.")
@@ -59,7 +59,7 @@ def new(source: Path, name: str, out: Path, **given: Any) -> None:
     click.echo(f"next: ROBOXIM_CONFIG_PATH={out} roboxim robot check {recipe.name}")
 
 
-@command.command("gripper")
+@command.command("gripper", begins="making the gripper")
 @click.argument("recipe", type=click.Path(path_type=Path, exists=True, dir_okay=False))
 @option("out", default="config", help="Configuration folder; the gripper goes to OUT/grippers.")
 def gripper(recipe: Path, out: Path) -> None:
@@ -77,7 +77,7 @@ def gripper(recipe: Path, out: Path) -> None:
     click.echo(f"wrote {file} and {file.with_suffix('')}/")
 
 
-@command.command("check")
+@command.command("check", begins="checking the robot")
 @click.argument("robot", type=Named("robot"))
 @click.option("--reach", type=click.Path(path_type=Path, dir_okay=False), help="Draw the reach map into this file.")
 @option("episodes", default=5, help="Demonstrations of picking up a cube.")
@@ -98,7 +98,7 @@ def check(robot: str, reach: Path | None, episodes: int) -> None:
     raise SystemExit(int(failed > 0))
 
 
-@command.command("sheet")
+@command.command("sheet", begins="drawing the robot")
 @click.argument("robots", type=Named("robot"), nargs=-1)
 @option("out", default="robots.png", help="File of the picture.")
 @option("renderer", name="renderer_name")

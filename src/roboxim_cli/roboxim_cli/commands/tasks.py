@@ -114,6 +114,7 @@ def sample(
     if picture:
         from roboxim_runs.scenes.pictures import ScenePainter, save_sheet
 
+        click.echo("drawing ...", err=True)
         with ScenePainter(renderer) as painter:
             seeds = (SeedPath(run_seed=seed, purpose=purpose, index=index) for index in range(first, first + episodes))
             draws = (painter.draw(path, config) for path in seeds)

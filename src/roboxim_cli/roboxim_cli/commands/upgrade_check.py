@@ -11,7 +11,7 @@ import click
 from roboxim_cli import strict
 
 
-@strict.command()
+@strict.command(begins="comparing versions")
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(folder: Path, as_json: bool) -> None:

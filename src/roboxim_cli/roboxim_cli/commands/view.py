@@ -13,7 +13,7 @@ from roboxim_cli import strict
 from roboxim_cli.options import TASK_CHANGES, option, with_options
 
 
-@strict.command()
+@strict.command(begins="drawing")
 @click.argument("what", metavar="TASK|SKILL|SCENE|BAG")
 @with_options(*(option(name) for name in TASK_CHANGES))
 @option("out", help="File of the picture; default: view.png, or the studio's window if it is installed.")

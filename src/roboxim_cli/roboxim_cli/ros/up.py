@@ -16,7 +16,7 @@ from roboxim_cli.named import Named
 from roboxim_cli.ros.node import membership_options, namespace_option
 
 
-@strict.command()
+@strict.command(begins="starting the graph")
 @click.option("--processes", is_flag=True, help="One process per node; default: all nodes in this process.")
 @click.option(
     "--only", "nodes", multiple=True, type=click.Choice(list(NODES)), help="Start only this node; may be repeated."

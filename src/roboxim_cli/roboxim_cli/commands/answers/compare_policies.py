@@ -9,7 +9,7 @@ from roboxim_cli.commands.answers._policies import policy_options
 from roboxim_cli.options import option
 
 
-@strict.command()
+@strict.command(begins="comparing policies")
 @click.argument("first", metavar="A")
 @click.argument("second", metavar="B")
 @policy_options

@@ -10,7 +10,7 @@ from roboxim_cli import strict
 from roboxim_cli.options import option
 
 
-@strict.command()
+@strict.command(begins="comparing benchmarks")
 @click.argument("table", type=click.Path(path_type=Path, exists=True))
 @click.argument("ours", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 @click.option("--names", default="reality,simulation", show_default=True, metavar="A,B", help="Names of both.")

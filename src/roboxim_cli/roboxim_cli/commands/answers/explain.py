@@ -10,7 +10,7 @@ from roboxim_cli import strict
 from roboxim_cli.commands.answers._policies import policy_options
 
 
-@strict.command()
+@strict.command(begins="looking for causes")
 @click.argument("place", metavar="EPISODE", type=click.Path(exists=True, path_type=Path))
 @click.argument("number", type=click.IntRange(0), required=False)
 @click.option("--policy", required=True, metavar="SPEC", help="The policy that failed, as evaluate takes it.")

@@ -11,7 +11,7 @@ from roboxim_cli.commands.answers._policies import policy_options
 from roboxim_cli.options import option
 
 
-@strict.command()
+@strict.command(begins="looking for failures")
 @click.argument("policy", metavar="POLICY")
 @policy_options
 @option("task")

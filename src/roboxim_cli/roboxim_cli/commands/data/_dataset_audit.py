@@ -32,7 +32,7 @@ def _list_checks(context: click.Context, _: click.Parameter, value: bool) -> Non
     context.exit()
 
 
-@strict.command("audit")
+@strict.command("audit", begins="auditing")
 @click.argument("path", type=Place())
 @click.option(
     "--bags",

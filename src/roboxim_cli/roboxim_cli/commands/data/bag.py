@@ -39,7 +39,7 @@ def info(path: Path) -> None:
         raise RecorderError(f"{len(summary.damaged)} of {total} bags are damaged", ErrorCode.BAG_DAMAGED)
 
 
-@command.command("check")
+@command.command("check", begins="checking")
 @click.argument("paths", type=_bag, nargs=-1, required=True)
 def check(paths: tuple[Path, ...]) -> None:
     """Check that bags are whole: every byte, tick and topic. For a run, also check that no bag is missing.
@@ -74,7 +74,7 @@ def check(paths: tuple[Path, ...]) -> None:
         )
 
 
-@command.command("repair", old_output=-1)
+@command.command("repair", old_output=-1, begins="repairing")
 @click.argument("path", type=_bag)
 @option("out", help="Folder of the new bag; default: the one that the bag lies in.")
 @click.option("--judge", is_flag=True, help="When the result is lost, execute the saved actions again and judge them.")
@@ -103,7 +103,7 @@ def repair(path: Path, out: Path | None, judge: bool) -> None:
         sys.exit(code)
 
 
-@command.command("play")
+@command.command("play", begins="starting")
 @click.argument("path", type=_bag)
 @option(
     "-r", "rate", default=1.0, metavar="FACTOR", show_default=True, help="Playback speed, relative to simulated time."
@@ -202,7 +202,7 @@ def _flush(publishers: dict[str, Any]) -> None:
         publisher.wait_for_all_acked(Duration(seconds=2))
 
 
-@command.command("record")
+@command.command("record", begins="starting")
 @click.argument("topics", nargs=-1, shell_complete=complete("topics"))
 @option("out", required=True, help="Folder of the bag, which must not exist.")
 @click.option("--duration", type=click.FloatRange(0, min_open=True), help="End after this time [s]; else on Ctrl-C.")

@@ -87,7 +87,7 @@ class _Formats(strict.Group):
             click.Option(["--overwrite"], is_flag=True, help="Replace an existing dataset."),
         ]  # fmt: skip
         return strict.Command(
-            cmd_name, params=params, callback=convert, short_help=doc, old_output=-1,
+            cmd_name, params=params, callback=convert, short_help=doc, old_output=-1, begins="converting",
             help=f"{doc}\n\nThe same command continues an interrupted conversion. The source is only read.",
         )  # fmt: skip
 
@@ -114,7 +114,7 @@ def info(dataset: Path, card: bool, as_json: bool) -> None:
         click.echo(cards.card(opened, counts) if card else cards.summary(opened, counts))
 
 
-@command.command("diff")
+@command.command("diff", begins="comparing")
 @click.argument("a", type=_path)
 @click.argument("b", type=_path)
 @click.option(
@@ -158,7 +158,7 @@ def _convert(name: str, options: Any, source: Path, target: Path, **more: Any) -
     _print_written(written)
 
 
-@command.command("merge", old_output=-1)
+@command.command("merge", old_output=-1, begins="merging")
 @click.argument("sources", type=_path, nargs=-1, required=True)
 @option("out", required=True, help="Folder of the dataset.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing dataset.")
@@ -174,7 +174,7 @@ def merge(sources: tuple[Path, ...], out: Path, overwrite: bool) -> None:
         _print_written(merge_datasets(sources, out, overwrite=overwrite, on_event=printer))
 
 
-@command.command("split", old_output=-1)
+@command.command("split", old_output=-1, begins="splitting")
 @click.argument("source", type=_path)
 @option("out", required=True, help="Folder of the dataset.")
 @click.option(
@@ -200,7 +200,7 @@ def split(source: Path, out: Path, into: str, apart: bool, overwrite: bool) -> N
         _print_written(written)
 
 
-@command.command("view")
+@command.command("view", begins="drawing")
 @click.argument("dataset", type=_path, metavar="DATASET|RUN|BAG")
 @click.option("--episode", type=click.IntRange(0), default=0, show_default=True, help="Number, through all splits.")
 @click.option("--frames", type=click.IntRange(1), default=12, show_default=True, help="Frames of each camera.")

@@ -15,7 +15,7 @@ from roboxim_cli.options import option
 from roboxim_core.whole_files import write_whole
 
 
-@strict.command()
+@strict.command(begins="replaying")
 @click.argument("sources", type=click.Path(exists=True, path_type=Path), nargs=-1, required=True)
 @click.option("--namespace", default="", help="Namespace of the graph, e.g. /w0, for bags.")
 @click.option(

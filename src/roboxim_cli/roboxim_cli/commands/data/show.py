@@ -10,7 +10,7 @@ from roboxim_cli import strict
 from roboxim_cli.options import option
 
 
-@strict.command()
+@strict.command(begins="reading the episode")
 @click.argument("place", metavar="EPISODE", type=click.Path(exists=True, path_type=Path))
 @click.argument("number", type=click.IntRange(0), required=False)
 @click.option("--policy", default="", metavar="NAME", help="Policy of an evaluation; default: the one under test.")

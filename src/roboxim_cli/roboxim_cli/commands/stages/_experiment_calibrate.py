@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from roboxim_eval.experiments import ExperimentConfig, Rates
 
 
-@strict.command("calibrate")
+@strict.command("calibrate", begins="measuring this machine")
 @click.option("--experiment", type=Named("experiment"), default="skill_object", show_default=True, help="Whose tasks.")
 @click.option("--scale", default="laptop", show_default=True, help="Its scale, which states the image size.")
 @click.option("--episodes", type=click.IntRange(2), default=8, show_default=True, help="Demonstrations.")

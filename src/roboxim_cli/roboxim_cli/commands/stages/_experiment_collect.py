@@ -10,7 +10,7 @@ from roboxim_cli import strict
 from roboxim_cli.options import option
 
 
-@strict.command("collect")
+@strict.command("collect", begins="choosing demonstrations")
 @click.argument("card", type=click.Path(path_type=Path, exists=True, dir_okay=False))
 @click.option(
     "--demonstrations", type=click.IntRange(1), required=True, metavar="N", help="New demonstrations of each arm."

@@ -11,7 +11,7 @@ from roboxim_cli.named import Named
 from roboxim_cli.options import option
 
 
-@strict.command("rotate")
+@strict.command("rotate", begins="planning the parts")
 @click.argument("name", type=Named("experiment"))
 @option("scale")
 @option("trainer")
@@ -38,7 +38,7 @@ def rotate(name: str, scale: str, trainer: str, sets: int, held_out: int, replic
     click.echo("then: roboxim experiment join OUT/*/card.json")
 
 
-@strict.command("join")
+@strict.command("join", begins="joining")
 @click.argument("cards", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True, dir_okay=False))
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def join(cards: tuple[Path, ...], as_json: bool) -> None:

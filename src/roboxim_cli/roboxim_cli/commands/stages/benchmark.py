@@ -40,7 +40,7 @@ def command() -> None:
 
 
 def _run_command(name: str) -> click.Command:
-    @strict.command(name)
+    @strict.command(name, begins="running the benchmark")
     @experiment_options("EXPERIMENT.CONDITION[.R]")
     @click.option(
         "--experiment", "experiments", multiple=True, metavar="NAME",
@@ -73,7 +73,7 @@ def _run_command(name: str) -> click.Command:
     return run
 
 
-@command.command(REPORT, old={"--html": "--out"})
+@command.command(REPORT, begins="writing the report", old={"--html": "--out"})
 @click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False)
 @click.option(
     "--from", "card", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",

@@ -12,7 +12,7 @@ from roboxim_cli import strict
 from roboxim_cli.options import film_options, option, parse_films
 
 
-@strict.command()
+@strict.command(begins="writing the report")
 @click.argument("folders", nargs=-1, required=True, type=click.Path(exists=True, file_okay=False, path_type=Path))
 @option("out", default=None, show_default=False, help="Folder of a comparison's report.  [default: runs/comparison]")
 @film_options()
