@@ -1,11 +1,12 @@
-"""Draw a filmstrip of every skill and of the tasks in `TASKS`: the expert, seen by the workspace camera.
+"""Draw the film of the README, and a filmstrip of every skill and of the tasks in `TASKS`: the expert, seen whole.
 
 A strip begins with the initial scene and ends after the settle phase, which the verdict is about. The line above it is
-the episode's instruction. Nothing is staged: ``roboxim generate`` draws the same scenes with the same options. The
-scenes were chosen because they show the skill clearly.
+the episode's instruction. Nothing is staged: ``roboxim generate --look varied`` draws the same scenes with the same
+options, and ``roboxim evaluate --policy expert --suite core`` those of the film. The scenes were chosen because they
+show the skill clearly. Frames are drawn at twice their size, as ``roboxim view`` does.
 
-Usage: ``python scripts/film_skills.py [NAME ...]``; writes ``docs/images/skills/<skill>.jpg`` and
-``docs/images/tasks/<task>.jpg``, and fails when the expert does.
+Usage: ``python scripts/film_skills.py [NAME ...]``; writes ``docs/images/core.webp``, below it ``skills/<skill>.jpg``
+and ``tasks/<task>.jpg``, and fails when the expert does.
 """
 
 from __future__ import annotations
@@ -22,11 +23,9 @@ from PIL import Image
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.specs import CameraSpec
-from roboxim_core.vision.cameras import project
 from roboxim_recorder.bag import BagReader, BagTick
-from roboxim_runs.episodes.caption import captioned
+from roboxim_runs.episodes.caption import BAND_PX, captioned
 from roboxim_runs.episodes.task_choice import task_text
-from roboxim_tasks.roles import task_objects
 from roboxim_tasks.skills import SKILLS
 
 Picture = npt.NDArray[np.uint8]
@@ -35,11 +34,15 @@ FOLDER = Path(__file__).parents[1] / "docs" / "images"
 CAMERA = "workspace"
 SIZE = 260
 """Side of a frame [px]."""
+FINER = 2
+"""Frames are drawn so many times larger, and reduced."""
 GAP = 4
 STILL_M = 0.003
 """Distance below which an object or a button's cap counts as not moved [m]."""
-ABOVE = 0.06
-"""Fraction of a frame by which the objects are below its centre, because the hand comes from above."""
+CORE = (18, 17, 26, 24, 19, 23, 14, 25)
+"""Episodes of the suite core in the film, in two rows."""
+EVERY = 2
+"""Ticks per picture of the film."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,28 +60,26 @@ class Film:
     episodes: tuple[int, ...] = (0,)
     """Episode indices. One episode gives a strip; several give their last frames."""
     purpose: str = "demo"
-    zoom: float = 1.0
-    """Zoom factor: the frame is cropped to 1/n of its side, around the objects that the instruction names."""
     frames: int = 0
     """Number of equidistant frames; 0: five frames, chosen by the target's motion (`moments`)."""
 
 
 FILMS = {
-    "pick_up": Film(objects=("apple",), colors="green", distractors="3", seed=0, zoom=1.4),
-    "place_on": Film(objects=("cucumber",), distractors="2", seed=0, zoom=1.5),
-    "place_left_of": Film(objects=("cube", "reference=mug"), colors="orange", distractors="1", seed=5, zoom=1.5),
-    "place_right_of": Film(objects=("soda_can", "reference=bowl"), colors="green", distractors="1", seed=3, zoom=1.3),
-    "place_in_front_of": Film(objects=("banana", "reference=bowl"), distractors="1", seed=9, zoom=1.4),
-    "place_behind": Film(objects=("onion", "reference=plate"), distractors="1", seed=11, zoom=1.3),
-    "stack": Film(objects=("cube", "support=wooden_block"), colors="yellow", distractors="2", seed=6, zoom=1.4),
-    "put_into": Film(objects=("lemon",), distractors="2", seed=3, zoom=1.5),
-    "rotate": Film(objects=("knife",), distractors="2", seed=3, zoom=1.7),
-    "push_button": Film(colors="green", distractors="3", seed=0, zoom=1.5),
-    "flip_switch": Film(colors="green", distractors="2", seed=0, zoom=1.5),
-    "open_drawer": Film(distractors="2", seed=3, episodes=(1,), zoom=1.15),
-    "close_drawer": Film(distractors="2", seed=4, episodes=(2,), zoom=1.15),
-    "push_object": Film(objects=("sponge",), distractors="1", seed=8, zoom=1.3),
-    "turn_upright": Film(objects=("milk_carton",), distractors="2", seed=11, zoom=1.5),
+    "pick_up": Film(objects=("apple",), colors="green", distractors="3", seed=0),
+    "place_on": Film(objects=("cucumber",), distractors="2", seed=0),
+    "place_left_of": Film(objects=("cube", "reference=mug"), colors="orange", distractors="1", seed=5),
+    "place_right_of": Film(objects=("soda_can", "reference=bowl"), colors="green", distractors="1", seed=3),
+    "place_in_front_of": Film(objects=("banana", "reference=bowl"), distractors="1", seed=9),
+    "place_behind": Film(objects=("onion", "reference=plate"), distractors="1", seed=11),
+    "stack": Film(objects=("cube", "support=wooden_block"), colors="yellow", distractors="2", seed=6),
+    "put_into": Film(objects=("lemon",), distractors="2", seed=3),
+    "rotate": Film(objects=("knife",), distractors="2", seed=3),
+    "push_button": Film(colors="green", distractors="3", seed=0),
+    "flip_switch": Film(colors="green", distractors="2", seed=0),
+    "open_drawer": Film(distractors="2", seed=3, episodes=(1,)),
+    "close_drawer": Film(distractors="2", seed=4, episodes=(2,)),
+    "push_object": Film(objects=("sponge",), distractors="1", seed=8),
+    "turn_upright": Film(objects=("milk_carton",), distractors="2", seed=11),
 }
 """Films by skill."""
 TASKS = {
@@ -90,20 +91,42 @@ TASKS = {
 
 
 def main() -> None:
-    """Film the skills and tasks named on the command line, or all."""
+    """Film what the command line names, or everything."""
     if missing := set(SKILLS) - set(FILMS):
         sys.exit(f"no film of {', '.join(sorted(missing))}: add a scene that shows the skill to FILMS")
-    for name in sys.argv[1:] or (*FILMS, *TASKS):
+    for name in sys.argv[1:] or ("core", *FILMS, *TASKS):
+        if name == "core":
+            save_core(FOLDER / "core.webp")
+            continue
         folder, film = ("skills", FILMS[name]) if name in FILMS else ("tasks", TASKS[name])
         file = FOLDER / folder / f"{name}.jpg"
         file.parent.mkdir(parents=True, exist_ok=True)
-        picture(name, film).save(file, quality=75, optimize=True)
+        picture(name, film).save(file, quality=80, optimize=True)
+
+
+def save_core(file: Path) -> None:
+    """Save the film of the suite core: eight episodes at once, each under its instruction."""
+    film, text, tiles = Film(seed=0, purpose="eval"), task_text(suite="core"), []
+    for index in CORE:
+        with tempfile.TemporaryDirectory() as folder:
+            bag = run(text, film, index, folder)
+            frames = [tick.images[CAMERA] for tick in bag.ticks((CAMERA,)) if tick.seq % EVERY == 0]
+            tiles.append([titled(frame, bag.info.task.instruction) for frame in frames])
+    pictures = []
+    for k in range(max(map(len, tiles))):
+        now = [np.pad(tile[min(k, len(tile) - 1)], ((0, GAP), (0, GAP), (0, 0)), constant_values=255) for tile in tiles]
+        rows = [np.concatenate(now[i : i + len(CORE) // 2], axis=1) for i in (0, len(CORE) // 2)]
+        pictures.append(Image.fromarray(np.concatenate(rows)[:-GAP, :-GAP]))
+    more = [*pictures[1:], *[pictures[-1]] * 8]
+    pictures[0].save(file, save_all=True, append_images=more, duration=100 * EVERY, loop=0, quality=60, method=6)
 
 
 def picture(name: str, film: Film) -> Image.Image:
     """Run a film's episodes and arrange their frames side by side, with the instruction above a strip."""
     task, skill = ("", name) if name in FILMS else (name, "")
-    text = task_text(task, skill=skill, objects=film.objects, distractors=film.distractors, colors=film.colors)
+    text = task_text(
+        task, skill=skill, objects=film.objects, distractors=film.distractors, colors=film.colors, look="varied"
+    )
     frames: list[Picture] = []
     for index in film.episodes:
         with tempfile.TemporaryDirectory() as folder:
@@ -115,7 +138,7 @@ def picture(name: str, film: Film) -> Image.Image:
                 picks = np.linspace(0, len(ticks) - 1, film.frames).round().astype(int).tolist()
             else:
                 picks = moments(ticks)
-            frames += cut(bag, [ticks[pick] for pick in picks])
+            frames += [reduced(ticks[pick].images[CAMERA]) for pick in picks]
     if len(film.episodes) > 1:
         return strip(frames)
     return strip(frames, bag.info.task.instruction, bag.info.scene.cameras[0])
@@ -124,16 +147,26 @@ def picture(name: str, film: Film) -> Image.Image:
 def run(text: str, film: Film, index: int, folder: str) -> BagReader:
     """Run an episode of the expert to the end of its motion, and return its bag."""
     with CoreGraph(Path(folder)) as cores:
-        side = round(SIZE * film.zoom)
         config = RunConfig(
             run_seed=film.seed, purpose=film.purpose, task_config=text, output_dir=folder, cameras=(CAMERA,),
-            image_width=side, image_height=side, stop_on_success=False,
+            image_width=FINER * SIZE, image_height=FINER * SIZE, stop_on_success=False,
         )  # fmt: skip
         result = EpisodeRunner(cores.ports, config).run_index(index)
     sys.stdout.write(f"{result.skill}: {result.instruction}: {result.outcome} {result.reason}, {result.steps} ticks\n")
     if result.outcome != "success":
         sys.exit(f"{result.skill}, seed {film.seed}, episode {index}: no film of a failure; choose another scene")
     return BagReader(Path(folder, result.bag))
+
+
+def titled(frame: Picture, text: str) -> Picture:
+    """Return a reduced frame under a low line of text."""
+    whole = captioned(reduced(frame), text)
+    return np.concatenate([whole[18 : BAND_PX - 18], whole[BAND_PX:]])
+
+
+def reduced(picture: Picture) -> Picture:
+    """Return a picture at the size of a frame, each pixel the mean of those that were drawn for it."""
+    return np.asarray(Image.fromarray(picture).resize((SIZE, SIZE), Image.Resampling.BOX))
 
 
 def moments(ticks: list[BagTick]) -> list[int]:
@@ -151,17 +184,6 @@ def moments(ticks: list[BagTick]) -> list[int]:
     if np.linalg.norm(hands[1] - hands[0]) < 2 * STILL_M:
         return [0, leaves // 2, leaves, half, last]
     return [0, leaves, half, arrives, last]
-
-
-def cut(bag: BagReader, ticks: list[BagTick]) -> list[Picture]:
-    """Crop the same square from the image of every tick, around the instruction's objects at these ticks."""
-    camera = bag.info.scene.cameras[0]
-    named = [thing.entity for thing in task_objects(bag.info.task)]
-    points = [tick.state.entity(name).pose.position for tick in ticks for name in named]
-    pixels = project(camera, camera.pose.inverse().apply(points))
-    middle = (pixels.min(axis=0) + pixels.max(axis=0)) / 2 - (0, ABOVE * SIZE)
-    left, top = np.clip(middle - SIZE / 2, 0, (camera.width - SIZE, camera.height - SIZE)).astype(int).tolist()
-    return [tick.images[CAMERA][top : top + SIZE, left : left + SIZE] for tick in ticks]
 
 
 def strip(frames: list[Picture], title: str = "", camera: CameraSpec | None = None) -> Image.Image:
