@@ -138,7 +138,8 @@ class ProgressLine:
             self._bar = self._bars.add(self._title, self._total, self._done, self._unit.strip())
         else:
             at = f", {self._done} are done" if self._done else ""
-            click.echo(f"{self._title}: {self._total}{self._unit}{at}; starting")
+            many = f": {self._total}{self._unit}" if self._total > 1 else ""  # 1 while it is unknown
+            click.echo(f"{self._title}{many}{at}; starting")
         return self
 
     def __exit__(

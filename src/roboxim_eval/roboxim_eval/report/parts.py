@@ -149,7 +149,7 @@ def breakdowns(
         if len(parts) < 2:
             continue
         if parts in tables:
-            tables[parts]["name"] += f", {table['name']}"
+            tables[parts]["also"].append(table["name"])
         else:
             tables[parts] = table | {"p": p_values.get(name)}
     return list(tables.values())
@@ -157,7 +157,7 @@ def breakdowns(
 
 def by_task(tables: Sequence[Mapping[str, Any]]) -> bool:
     """Return whether the first of the breakdowns is by task."""
-    return bool(tables) and str(tables[0]["name"]).partition(",")[0] == TASK
+    return bool(tables) and tables[0]["name"] == TASK
 
 
 def _breakdown(episodes: Sequence[Episode], arms: Sequence[str], name: str) -> dict[str, Any]:
@@ -180,7 +180,7 @@ def _breakdown(episodes: Sequence[Episode], arms: Sequence[str], name: str) -> d
             "level": level, "numbers": members[level],
             "cells": [_cell(episodes, name, level, values, mine[arm], arm) for arm in arms],
         })  # fmt: skip
-    return {"name": factor_name(name), "levels": rows}
+    return {"name": factor_name(name), "also": [], "levels": rows}
 
 
 def _cell(
