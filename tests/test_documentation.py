@@ -21,8 +21,10 @@ import pytest
 
 from roboxim_cli.commands.stages import demo
 from roboxim_cli.main import group
+from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
 from roboxim_ros.testing import PATIENCE_S
+from roboxim_tasks.skills import SKILLS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -160,6 +162,19 @@ def test_every_page_is_in_the_site_s_navigation() -> None:
 def test_the_front_page_leads_to_a_task(task: str, page: str) -> None:
     rows = [row for row in (ROOT / "README.md").read_text().splitlines() if row.startswith("| ") and task in row]
     assert any(f"(docs/{page})" in row for row in rows)
+
+
+def test_the_front_page_counts_what_there_is() -> None:
+    arm, gripper = ["seven", "eight", "nine", "ten"], ["two", "three", "four"]
+    thing = ["twenty", "twenty-one", "twenty-two", "twenty-three", "twenty-four"]
+    skill = ["thirteen", "fourteen", "fifteen", "sixteen", "seventeen"]
+    arms = [name for name in config_names("robots") if "_" not in name]
+    said = (
+        f"{arm[len(arms) - 7]} arms", f"{gripper[len(config_names('grippers')) - 2]} grippers",
+        f"{thing[len(config_names('objects')) - 20]} objects", f"{skill[len(SKILLS) - 13]} skills",
+    )  # fmt: skip
+    text = (ROOT / "README.md").read_text()
+    assert [count for count in said if count not in text] == []
 
 
 @pytest.mark.parametrize("block", PYTHON, ids=str)
