@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import importlib
 import sys
+import threading
 import time
 from types import TracebackType
 from typing import Any
@@ -127,6 +128,7 @@ class ProgressLine:
         self._unit = f" {unit}" if unit else ""
         self._note = ""
         self._shown: tuple[int, str] | None = None
+        self._late: threading.Timer | None = None
         self._started = self._last = time.monotonic()
         self._pace = Pace()
         shows = sys.stdout.isatty() or isinstance(bars, NotebookBars)
@@ -146,6 +148,8 @@ class ProgressLine:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Stop the bar and keep its last state on the screen."""
+        if self._late is not None:
+            self._late.cancel()
         if self._bars is not None:
             self._bars.end(self._bar)
         elif error is None and self._shown != (self._done, self._note):
@@ -166,6 +170,10 @@ class ProgressLine:
             self._bars.update(self._bar, done, self._total, note, self._pace_text())
         elif time.monotonic() - self._last > LINE_PERIOD_S:
             self._line()
+        elif self._late is None:  # a long step may follow, in which nobody calls
+            self._late = threading.Timer(LINE_PERIOD_S, self._line_if_new)
+            self._late.daemon = True
+            self._late.start()
 
     def say(self, text: str) -> None:
         """Print a line that stays on the screen."""
@@ -173,6 +181,11 @@ class ProgressLine:
             self._bars.say(text)
         else:
             click.echo(text)
+
+    def _line_if_new(self) -> None:
+        self._late = None
+        if self._shown != (self._done, self._note):
+            self._line()
 
     def _line(self) -> None:
         self._last, self._shown = time.monotonic(), (self._done, self._note)

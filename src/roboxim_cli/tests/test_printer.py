@@ -2,6 +2,7 @@
 
 import io
 import sys
+import time
 from types import ModuleType
 
 import pytest
@@ -9,7 +10,8 @@ from rich.console import Console
 
 from roboxim_cli import progress
 from roboxim_cli.printer import EventPrinter
-from roboxim_cli.progress import Bars
+from roboxim_cli.progress import Bars, ProgressLine
+from roboxim_ros.testing import PATIENCE_S
 from roboxim_runs.events import Notice, StageFinished, StageProgress, StageStarted
 
 
@@ -32,6 +34,19 @@ def test_each_line_of_a_log_names_its_stage(capsys, monkeypatch):
         "training b: 20 of 50 steps", "training a: 10 of 50 steps", "b has ended", "training a: 50 of 50 steps",
     ]  # fmt: skip
     assert lines[0].endswith("loss 0.2")
+
+
+def test_a_long_step_is_named_while_it_runs(capsys, monkeypatch):
+    monkeypatch.setattr(progress, "LINE_PERIOD_S", 0.2)
+    said = ""
+    with ProgressLine("importing", 3, unit="meshes") as line:
+        line.update(0, "duck: cutting it into convex parts")
+        until = time.monotonic() + PATIENCE_S
+        while "convex parts" not in said and time.monotonic() < until:
+            time.sleep(0.05)
+            said += capsys.readouterr().out
+    assert "importing: 0 of 3 meshes after" in said
+    assert "duck: cutting it into convex parts" in said
 
 
 @pytest.mark.parametrize("text", ["[red] is no style here", "loss [/0.1]"])

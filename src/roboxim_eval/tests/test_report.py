@@ -234,7 +234,8 @@ def test_what_a_reader_compares_is_never_pooled():
         for arm in won for i in range(24)
     ]  # fmt: skip
     tables = breakdowns(episodes, ("good", "bad"))
-    assert sorted(table["name"] for table in tables) == ["light", "target, instruction"], "no table repeats another"
+    named = sorted((table["name"], table["also"]) for table in tables)
+    assert named == [("light", []), ("target", ["instruction"])], "no table repeats another"
     for table in tables:
         for row in table["levels"]:
             assert [(c["rate"].successes, c["rate"].episodes) for c in row["cells"]] == [(12, 12), (0, 12)]
