@@ -19,6 +19,8 @@ RELATIONS = ("place_left_of", "place_right_of", "place_in_front_of", "place_behi
 ANY_OBJECT = ("pick_up", "place_on", *RELATIONS, "rotate")
 """Skills that apply to every graspable object; other skills apply to the objects that their configuration lists."""
 DRAWERS = ("top", "middle", "bottom")
+ARTICULATED = {"flip_switch": "switch", "turn_knob": "knob", "open_door": "microwave", "close_door": "microwave"}
+"""Skills of one object, whose configuration says it all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,8 +84,9 @@ def _other_cells() -> Iterator[dict[str, Any]]:
     known = {model: library.object(model) for model in library.object_ids}
     for drawer in DRAWERS:
         yield {"skill": "close_drawer", "thing": drawer, "core": False, "change": _drawer(drawer)}
-    yield {"skill": "flip_switch", "thing": "switch", "core": False}
-    for skill in sorted(set(SKILLS) - {"open_drawer", "close_drawer", "push_button", "flip_switch"}):
+    for skill, thing in ARTICULATED.items():
+        yield {"skill": skill, "thing": thing, "core": False}
+    for skill in sorted(set(SKILLS) - {"open_drawer", "close_drawer", "push_button", *ARTICULATED}):
         models = SKILLS[skill].suited(known, {"container": "bowl"})["target"]
         if skill not in (*ANY_OBJECT, "put_into"):
             models = yaml.safe_load(task_text(skill=skill))["objects"]["target"]["models"]["values"]

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from roboxim_core.poses import Array, Pose
 from roboxim_core.state import Contact, StateRecord
-from roboxim_tasks.measures import Condition, Measure, released, seconds_between, with_last
+from roboxim_tasks.measures import Condition, Measure, joint_value, released, seconds_between, with_last
 from roboxim_tasks.motion import ROBOT
 
 GRAVITY_M_S2 = 9.81
@@ -186,6 +186,32 @@ def touching_links(state: StateRecord, entity: str) -> set[str]:
         for contact in state.contacts_between(ROBOT, entity)
         if contact.force_max > 0.0
     }
+
+
+def way_by_fingers(
+    entity: str, joint: str, fingers: Iterable[str], initial: StateRecord, direction: float = 0.0
+) -> Measure:
+    """Measure a joint's way since tick 0, less its ways while anything but fingers of the robot touched the object.
+
+    Args:
+        entity: The object.
+        joint: Its joint.
+        fingers: Names of the robot's finger links.
+        initial: State of tick 0.
+        direction: Direction in which the way counts, 1 or -1; 0: both.
+    """
+    allowed = set(fingers)
+    start = joint_value(initial, entity, joint, "joint_positions")
+    seen = [start, 0.0]
+
+    def way(state: StateRecord) -> float:
+        now = joint_value(state, entity, joint, "joint_positions")
+        if not touching_links(state, entity) <= allowed:
+            seen[1] += abs(now - seen[0])
+        seen[0] = now
+        return ((now - start) * direction if direction else abs(now - start)) - seen[1]
+
+    return Measure(name="way_by_fingers", of=way)
 
 
 def _others(state: StateRecord, entity: str) -> Iterator[tuple[Contact, str]]:

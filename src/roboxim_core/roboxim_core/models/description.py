@@ -186,12 +186,14 @@ AFFORDANCES = (
     "openable",
     "pressable",
     "flippable",
+    "hinged",
+    "turnable",
     "upright",
     "pushable",
 )
 """Abilities of an object: ``support`` has surfaces, ``container`` interiors, ``openable`` handles,
-``pressable`` press points; ``flippable`` has a lever, its first handle; ``upright`` can topple and be put upright;
-``pushable`` moves steadily when pushed."""
+``pressable`` press points; ``flippable`` has a lever, ``hinged`` a door and ``turnable`` a knob, each with the first
+handle; ``upright`` can topple and be put upright; ``pushable`` moves steadily when pushed."""
 
 
 @dataclass(frozen=True, kw_only=True)

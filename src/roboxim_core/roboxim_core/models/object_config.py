@@ -40,6 +40,8 @@ NEEDS = {
     "openable": "handles",
     "pressable": "press_points",
     "flippable": "handles",
+    "hinged": "handles",
+    "turnable": "handles",
     "upright": "toppled",
 }
 """Affordance to the list that must not be empty for it."""

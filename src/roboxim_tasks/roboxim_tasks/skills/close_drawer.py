@@ -21,38 +21,28 @@ from typing import Any
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.description import ObjectModel
-from roboxim_core.poses import Pose
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.measures import Condition, Conditions
-from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
+from roboxim_tasks.measures import Condition, Conditions, joint_position
+from roboxim_tasks.motion import ExpertScene, Stage
 from roboxim_tasks.reach import start_clear
 from roboxim_tasks.sampling.generators import GenerationContext
-from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
-from roboxim_tasks.skills.drawers import (
-    APPROACH_M,
-    CABINET_PLACES,
-    drawer_contents,
-    drawer_position,
-    drawer_rests,
-    generate_drawer_task,
-    handle_grasps,
+from roboxim_tasks.skills.parts import (
+    BEHIND_THE_MIDDLE,
+    FINGER_M,
+    STANDOFF_M,
+    generate_part_task,
     handle_of,
     handle_reachable,
-    joint_of,
-    moved_by,
     not_there_already,
-    opening_axis,
+    part_in,
+    part_rests,
+    pushed_shut,
     way_clear,
 )
-
-FINGER_M = 0.022
-"""Distance from the middle of the bar to the tool centre point when the leaning fingertips touch the bar [m]."""
-STANDOFF_M = 0.015
-OVERSHOOT_M = 0.002
-DWELL_S = 0.2
+from roboxim_tasks.skills.placing import contents
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +82,7 @@ class CloseDrawer(Skill):
     )
     components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
     reset = {
-        "objects": {**CABINET_PLACES, "area": {"lower": [0.70, -0.22], "upper": [0.80, 0.22]}},
+        "objects": {**BEHIND_THE_MIDDLE, "area": {"lower": [0.70, -0.22], "upper": [0.80, 0.22]}},
         "joints": {"target": {"lower": 0.6, "upper": 1.0}},
     }
     max_steps = 150
@@ -105,7 +95,7 @@ class CloseDrawer(Skill):
 
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task."""
-        return generate_drawer_task(context)
+        return generate_part_task(context, "drawer", {"drawer": context.parameters.drawer})
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
         """Require a drawer that is not shut yet, that the arm can push, and no object in its place."""
@@ -113,39 +103,24 @@ class CloseDrawer(Skill):
         return (
             not_there_already(context, "target", lambda position_m: position_m <= shut_m),
             way_clear(context, "target"),
-            handle_reachable(context, "target", 0.0, FINGER_M + STANDOFF_M),
+            handle_reachable(context, "target", lambda part: part.joint.lower, FINGER_M + STANDOFF_M),
             start_clear(context),
         )
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
         """Approach the front of the handle with closed fingers, push, withdraw."""
         parameters: CloseDrawerParameters = parameters_of(scene.task, CloseDrawerParameters)
-        cabinet = scene.task.objects["target"].entity
-        model, base, state = scene.model_of(cabinet), scene.pose_of(cabinet), scene.state.entity(cabinet)
-        handle = handle_of(model, parameters.drawer)
-        joints = dict(zip(state.joint_names, state.joint_positions, strict=True))
-        axis = opening_axis(model, handle, base)
-        travel_m = joints[handle.joint] - joint_of(model, handle).lower
-        touching = fingers_touch(scene, cabinet)
-        inside = drawer_contents(scene, cabinet, parameters.drawer)
-        for grasp in handle_grasps(model, handle, base, joints):
-            touch = moved_by(grasp, axis * FINGER_M)
-            begin = moved_by(touch, axis * STANDOFF_M)
-            script = Script(scene)
-            script.opening = 0.0
-            script.move(retreated(begin, APPROACH_M), name="approach", free=True)
-            script.move(begin, name="reach")
-            script.set_entity(cabinet, joints={handle.joint: 0.0})
-            for name in inside:
-                script.set_entity(name, pose=moved_by(scene.pose_of(name), -axis * travel_m))
-            script.move(moved_by(touch, -axis * (travel_m + OVERSHOOT_M)), name="push", speed=SLOW, touching=touching)
-            script.wait(DWELL_S, name="dwell")
-            script.move(moved_by(script.pose, axis * STANDOFF_M), name="withdraw", touching=touching)
-            script.move(script.pose @ Pose(position=(0.0, 0.0, -APPROACH_M)), name="retreat", touching=touching)
-            yield script.stages
+        cabinet, drawer = scene.task.objects["target"].entity, parameters.drawer
+        model = scene.model_of(cabinet)
+        part = part_in(scene, cabinet, handle_of(model, drawer))
+        regions = [region for region in model.regions if region.kind == "interior" and region.name == drawer]
+        inside = [name for region in regions[:1] for name in contents(scene, cabinet, region)]
+        for grasp in part.grasps():
+            yield pushed_shut(scene, cabinet, part, grasp, inside)
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
         """Judge: shut, still, let go, and no other drawer moved."""
         parameters: CloseDrawerParameters = parameters_of(task, CloseDrawerParameters)
-        shut = Condition(name="shut", measure=drawer_position(task), most=parameters.shut_m)
-        return Conditions(drawer_rests(task, initial, shut), hold_s=parameters.hold_s)
+        position = joint_position(task.objects["target"].entity, parameters.joint, "drawer_m")
+        shut = Condition(name="shut", measure=position, most=parameters.shut_m)
+        return Conditions(part_rests(task, initial, shut), hold_s=parameters.hold_s)

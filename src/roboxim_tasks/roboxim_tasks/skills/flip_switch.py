@@ -17,16 +17,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from roboxim_core.errors import ConfigError
-from roboxim_core.models.articulation import object_link_poses
-from roboxim_core.models.description import JointModel, ObjectModel
+from roboxim_core.models.description import JointModel
 from roboxim_core.poses import Pose
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.handling import touching_links
+from roboxim_tasks.handling import way_by_fingers
 from roboxim_tasks.measures import (
     Condition,
     Conditions,
@@ -37,18 +36,17 @@ from roboxim_tasks.measures import (
 )
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, shifted
 from roboxim_tasks.reach import reaches_in_lines, start_clear
-from roboxim_tasks.sampling.generators import GenerationContext, generate_task
+from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
+from roboxim_tasks.skills.parts import APPROACH_M, DWELL_S, Part, generate_part_task, part_in
 
-APPROACH_M = 0.08
 HEIGHT_M = 0.026
 """Height of the tool centre point above the lever's pivot [m]."""
 BEGIN_M = 0.072
 """Distance from the pivot at which the push begins, on the lever's side [m]."""
 END_M = -0.008
 """Position of the tool centre point at the end of the push, beyond the pivot [m]; the fingers reach 11 mm farther."""
-DWELL_S = 0.2
 YAWS = (0.0, math.pi)
 """Headings of the tool against the push: the closed fingers are narrow along it."""
 
@@ -89,12 +87,7 @@ class FlipSwitch(Skill):
 
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task and record the names of the lever's joint and of the robot's fingers."""
-        task = generate_task(context)
-        target = task.objects["target"]
-        (lever, *_) = context.library.object(target.model, target.modifiers).handles
-        robot = context.library.robot(context.config.base_scene().robot.model)
-        fingers = " ".join(robot.gripper.links[1:])
-        return replace(task, arguments=task.arguments | {"joint": lever.joint, "fingers": fingers})
+        return generate_part_task(context, fingers=True)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
         """Require that the arm can reach the lever's side and push it over."""
@@ -102,8 +95,8 @@ class FlipSwitch(Skill):
 
         def reachable(scene: SceneSpec) -> bool:
             spec = scene.entity(entity)
-            model = context.library.entity_model(spec)
-            at = lever_at(model, scene.robot.pose.inverse() @ spec.pose, dict(spec.joint_positions))
+            (handle, *_), base = (model := context.library.entity_model(spec)).handles, scene.robot.pose.inverse()
+            at = lever_at(Part(model=model, handle=handle, base=base @ spec.pose, joints=spec.joint_positions))
             return any(
                 reaches_in_lines(context, shifted(begin, APPROACH_M), begin, end)
                 for begin, end in (at.push(yaw) for yaw in YAWS)
@@ -114,9 +107,7 @@ class FlipSwitch(Skill):
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
         """Go down beside the lever with closed fingers, push it over, go up; the nearest heading comes first."""
         entity = scene.task.objects["target"].entity
-        state = scene.state.entity(entity)
-        joints = dict(zip(state.joint_names, state.joint_positions, strict=True))
-        at = lever_at(scene.model_of(entity), scene.pose_of(entity), joints)
+        at = lever_at(part_in(scene, entity, scene.model_of(entity).handles[0]))
         for yaw in at.headings(scene.pose_tcp):
             script = Script(scene)
             script.opening = 0.0
@@ -131,10 +122,11 @@ class FlipSwitch(Skill):
         turn = Measure(
             name="turn_rad", of=lambda state: abs(joint_value(state, target, joint, "joint_positions") - start)
         )
+        by_fingers = way_by_fingers(target, joint, parameters.fingers.split(), initial)
         return Conditions(
             (
                 Condition(name="flipped", measure=turn, least=least),
-                Condition(name="by_finger_alone", measure=_finger_turn(target, parameters, initial), least=least),
+                Condition(name="by_finger_alone", measure=by_fingers, least=least),
                 released(target),
             ),
             hold_s=parameters.hold_s,
@@ -182,15 +174,11 @@ class LeverAt:
         return sorted(YAWS, key=lambda yaw: abs(math.remainder(now - yaw, 2 * math.pi)))
 
 
-def lever_at(model: ObjectModel, base: Pose, joints: dict[str, float]) -> LeverAt:
-    """Return the lever of a switch at its base pose and joint positions [rad]."""
-    lever = model.handles[0]
-    joint = next(joint for joint in model.joints if joint.name == lever.joint)
-    place = object_link_poses(model, {})[joint.parent] @ joint.pose
-    upright = Pose(position=place.position)
-    return LeverAt(
-        joint=joint, pivot=base @ upright, side=1.0 if 2 * joints[joint.name] < joint.lower + joint.upper else -1.0
-    )
+def lever_at(part: Part) -> LeverAt:
+    """Return the lever of a switch."""
+    upright, joint = Pose(position=part.base.inverse().apply(part.frame.position).tolist()), part.joint
+    side = 1.0 if 2 * part.position < joint.lower + joint.upper else -1.0
+    return LeverAt(joint=joint, pivot=part.base @ upright, side=side)
 
 
 def pushed(script: Script, entity: str, at: LeverAt, begin: Pose, end: Pose, speed: float = SLOW) -> None:
@@ -202,19 +190,3 @@ def pushed(script: Script, entity: str, at: LeverAt, begin: Pose, end: Pose, spe
     script.move(end, name="push", speed=speed, touching=touching)
     script.wait(DWELL_S, name="dwell")
     script.move(shifted(end, APPROACH_M), name="withdraw", touching=touching)
-
-
-def _finger_turn(target: str, parameters: FlipSwitchParameters, initial: StateRecord) -> Measure:
-    """Measure the lever's turn so far less the way that it went while something else of the robot touched it [rad]."""
-    fingers = set(parameters.fingers.split())
-    start = last = joint_value(initial, target, parameters.joint, "joint_positions")
-    seen = [last, 0.0]
-
-    def turn(state: StateRecord) -> float:
-        now = joint_value(state, target, parameters.joint, "joint_positions")
-        if not touching_links(state, target) <= fingers:
-            seen[1] += abs(now - seen[0])
-        seen[0] = now
-        return abs(now - start) - seen[1]
-
-    return Measure(name="finger_turn_rad", of=turn)

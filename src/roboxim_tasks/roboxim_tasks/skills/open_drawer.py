@@ -24,30 +24,24 @@ from roboxim_core.models.description import ObjectModel
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.measures import Condition, Conditions, above
-from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
+from roboxim_tasks.measures import Condition, Conditions, above, joint_position
+from roboxim_tasks.motion import ExpertScene, Stage
 from roboxim_tasks.reach import start_clear
 from roboxim_tasks.sampling.generators import GenerationContext
-from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
-from roboxim_tasks.skills.drawers import (
-    APPROACH_M,
-    CABINET_PLACES,
-    OVERSHOOT_M,
-    drawer_position,
-    drawer_rests,
-    generate_drawer_task,
-    handle_grasps,
+from roboxim_tasks.skills.parts import (
+    BEHIND_THE_MIDDLE,
+    generate_part_task,
     handle_of,
     handle_reachable,
-    joint_of,
-    moved_by,
     not_there_already,
-    opening_axis,
+    operated,
+    part_in,
+    part_rests,
     way_clear,
 )
 
-GRASP_OPENING = 0.6
+OVERSHOOT_M = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +80,7 @@ class OpenDrawer(Skill):
         "Open the {drawer} drawer of the {target}",
     )
     components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
-    reset = {"objects": CABINET_PLACES}
+    reset = {"objects": BEHIND_THE_MIDDLE}
     max_steps = 150
     Parameters = OpenDrawerParameters
 
@@ -97,7 +91,7 @@ class OpenDrawer(Skill):
 
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task."""
-        return generate_drawer_task(context)
+        return generate_part_task(context, "drawer", {"drawer": context.parameters.drawer})
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
         """Require a drawer that is not open yet, that the arm can pull, and an empty path."""
@@ -106,7 +100,7 @@ class OpenDrawer(Skill):
         return (
             not_there_already(context, "target", lambda position_m: position_m > open_m),
             way_clear(context, "target", goal_m),
-            handle_reachable(context, "target", goal_m),
+            handle_reachable(context, "target", lambda _: goal_m),
             start_clear(context),
         )
 
@@ -114,26 +108,14 @@ class OpenDrawer(Skill):
         """Grasp the handle, pull, let go, withdraw."""
         parameters: OpenDrawerParameters = parameters_of(scene.task, OpenDrawerParameters)
         cabinet = scene.task.objects["target"].entity
-        model, base, state = scene.model_of(cabinet), scene.pose_of(cabinet), scene.state.entity(cabinet)
-        handle = handle_of(model, parameters.drawer)
-        joints = dict(zip(state.joint_names, state.joint_positions, strict=True))
-        goal_m = min(parameters.open_m + OVERSHOOT_M, joint_of(model, handle).upper)
-        way = opening_axis(model, handle, base) * (goal_m - joints[handle.joint])
-        touching = fingers_touch(scene, cabinet)
-        for grasp in handle_grasps(model, handle, base, joints):
-            script = Script(scene)
-            script.opening = GRASP_OPENING
-            script.move(retreated(grasp, APPROACH_M), name="approach", free=True)
-            script.move(grasp, name="reach", speed=SLOW, touching=touching)
-            script.grip(0.0, name="close")
-            script.move(moved_by(grasp, way), name="pull", speed=SLOW, touching=touching)
-            script.set_entity(cabinet, joints={handle.joint: goal_m})
-            script.grip(GRASP_OPENING, name="release")
-            script.move(retreated(script.pose, APPROACH_M), name="retreat", touching=touching)
-            yield script.stages
+        part = part_in(scene, cabinet, handle_of(scene.model_of(cabinet), parameters.drawer))
+        goal_m = min(parameters.open_m + OVERSHOOT_M, part.joint.upper)
+        for grasp in part.grasps():
+            yield operated(scene, cabinet, part, grasp, goal_m)
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
         """Judge: open far enough, still, let go, and no other drawer moved."""
         parameters: OpenDrawerParameters = parameters_of(task, OpenDrawerParameters)
-        opened = Condition(name="opened", measure=drawer_position(task), least=above(parameters.open_m))
-        return Conditions(drawer_rests(task, initial, opened), hold_s=parameters.hold_s)
+        position = joint_position(task.objects["target"].entity, parameters.joint, "drawer_m")
+        opened = Condition(name="opened", measure=position, least=above(parameters.open_m))
+        return Conditions(part_rests(task, initial, opened), hold_s=parameters.hold_s)
