@@ -76,8 +76,11 @@ FILMS = {
     "rotate": Film(objects=("knife",), distractors="2", seed=3),
     "push_button": Film(colors="green", distractors="3", seed=0),
     "flip_switch": Film(colors="green", distractors="2", seed=0),
+    "turn_knob": Film(colors="blue", distractors="2", seed=0),
     "open_drawer": Film(distractors="2", seed=3, episodes=(1,)),
     "close_drawer": Film(distractors="2", seed=4, episodes=(2,)),
+    "open_door": Film(distractors="2", seed=3, episodes=(1,)),
+    "close_door": Film(distractors="2", seed=4, episodes=(1,)),
     "push_object": Film(objects=("sponge",), distractors="1", seed=8),
     "turn_upright": Film(objects=("milk_carton",), distractors="2", seed=11),
 }

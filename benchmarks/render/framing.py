@@ -35,7 +35,7 @@ HAND = "hand"
 """Name of the gripper among the things that are measured."""
 SIZE_PX = 256
 SEEDS = 10
-SIDE = ("open_drawer", "close_drawer", "put_into_drawer")
+SIDE = ("open_drawer", "close_drawer", "open_door", "close_door", "put_into_drawer")
 """Tasks that are seen from beside the robot, in every room."""
 TASKS = (
     "pick_cube", "pick_cube_distractors", "pick_up_blocked", "place_on_blocked", "pick_cube_ur5", "put_into_drawer",

@@ -114,6 +114,37 @@ def test_a_switch_counts_on_its_other_side_by_fingers_alone_and_let_go(start, go
     assert not fold(of, [*way, *held])[-1].success
 
 
+@pytest.mark.parametrize(
+    ("goal", "contacts", "reason"),
+    [(2.4, (BY_FINGER,), ""), (2.2, (BY_FINGER,), "not_turned"), (0.6, (BY_FINGER,), "not_turned"),
+     (2.4, (BY_FINGER, TOUCHED), "not_by_finger_alone")],
+    ids=["turned", "too_little", "the_other_way", "by_the_hand"],
+)  # fmt: skip
+def test_a_knob_counts_in_its_direction_by_fingers_alone_and_let_go(goal, contacts, reason):
+    of = task("turn_knob", direction="counter-clockwise", turn_rad=0.8, joint="turn", fingers="finger other_finger")
+
+    def knob(seq, angle, touched=()):
+        state = EntityState(name="target", joint_names=("turn",), joint_positions=(angle,))
+        return tick(seq, state, contacts=touched)
+
+    way = [knob(k, 1.5 + (goal - 1.5) * k / 8, contacts if k else ()) for k in range(9)]
+    assert fold(of, [*way, *(knob(9 + k, goal) for k in range(6))])[-1].reason == reason
+    assert not fold(of, [*way, *(knob(9 + k, goal, (BY_FINGER,)) for k in range(6))])[-1].success
+
+
+def test_a_door_must_be_open_still_and_let_go():
+    of = task("open_door", open_rad=0.7, joint="hinge")
+
+    def door(seq, angle, touched=()):
+        state = EntityState(name="target", joint_names=("hinge",), joint_positions=(angle,))
+        return tick(seq, state, contacts=touched)
+
+    opening = [door(k, 0.1 * k) for k in range(8)]
+    assert fold(of, [*opening, *(door(8 + k, 0.8) for k in range(6))])[-1].success
+    assert fold(of, [*opening, door(8, 0.8)])[-1].reason == "not_at_rest"
+    assert fold(of, [*opening, *(door(8 + k, 0.8, (TOUCHED,)) for k in range(6))])[-1].reason == "not_released"
+
+
 def drawers(seq, top, middle=0.0, contacts=()):
     state = EntityState(name="target", joint_names=("top", "middle"), joint_positions=(top, middle))
     return tick(seq, state, contacts=contacts)

@@ -1,4 +1,4 @@
-"""Articulated parts that a handle moves, e.g. drawers, doors and knobs: their path, how to move them, how to judge them.
+"""Articulated parts that a handle moves, e.g. drawers, doors and knobs: their path, their motion, their verdict.
 
 A skill names the part, its goal and its conditions; the rest is the same for parts that slide and parts that turn.
 """
@@ -205,7 +205,7 @@ def generate_part_task(
     target = task.objects["target"]
     model = context.library.object(target.model, target.modifiers)
     handle = handle_of(model, str(task.arguments[name])) if name else model.handles[0]
-    arguments = {"joint": handle.joint}
+    arguments: dict[str, str | float | int | bool] = {"joint": handle.joint}
     if fingers:
         robot = context.library.robot(context.config.base_scene().robot.model)
         arguments["fingers"] = " ".join(robot.gripper.links[1:])
@@ -261,9 +261,7 @@ def not_there_already(context: ResetContext, role: str, there: Callable[[float],
         role: Role of the object.
         there: Returns whether a position of the part is at the goal [m or rad].
     """
-    return Constraint(
-        name="not_there_already", holds=lambda scene: not there(_drawn(context, scene, role)[1].position)
-    )
+    return Constraint(name="not_there_already", holds=lambda scene: not there(_drawn(context, scene, role)[1].position))
 
 
 def handle_reachable(
@@ -292,9 +290,7 @@ def handle_reachable(
     return Constraint(name=f"{role}_reachable", holds=holds)
 
 
-def part_rests(
-    task: TaskSpec, initial: StateRecord, goal: Condition, *, turns: bool = False
-) -> tuple[Condition, ...]:
+def part_rests(task: TaskSpec, initial: StateRecord, goal: Condition, *, turns: bool = False) -> tuple[Condition, ...]:
     """Return the conditions of a moved part: at its goal, still and let go, the object's other parts not moved.
 
     Args:

@@ -4,7 +4,7 @@ Randomisation: the box's place, yaw and colour; where its knob stands; where the
 knobs among them.
 
 Success: the knob has turned by more than ``turn_rad`` in the direction from where it stood, turned by fingers of the
-robot alone, and the robot does not touch it, for ``hold_s``. As in every task, the joints of other objects have to stay.
+robot alone, and the robot does not touch it, for ``hold_s``. As in every task, joints of other objects have to stay.
 
 Non-obvious: the way of the knob counts only in ticks in which nothing but fingers touches the box.
 """

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, shifted
 from roboxim_tasks.script import Script
-from roboxim_tasks.skills.flip_switch import APPROACH_M, BEGIN_M, END_M, HEIGHT_M, LeverAt, lever_at, pushed
+from roboxim_tasks.skills.flip_switch import BEGIN_M, END_M, HEIGHT_M, LeverAt, lever_at, pushed
+from roboxim_tasks.skills.parts import APPROACH_M, part_in
 from roboxim_tasks.trials.base import cheat, honest
 from roboxim_tasks.trials.moves import own_stages, slowed, without
 
@@ -21,9 +22,7 @@ OTHER_SWITCH = {
 
 def lever_in(scene: ExpertScene, entity: str = "target") -> LeverAt:
     """Return the lever of a switch in the scene."""
-    state = scene.state.entity(entity)
-    joints = dict(zip(state.joint_names, state.joint_positions, strict=True))
-    return lever_at(scene.model_of(entity), scene.pose_of(entity), joints)
+    return lever_at(part_in(scene, entity, scene.model_of(entity).handles[0]))
 
 
 def pushes(

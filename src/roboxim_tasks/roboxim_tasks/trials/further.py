@@ -9,9 +9,9 @@ from roboxim_tasks.script import Script
 from roboxim_tasks.skills.push_button import YAWS, button_face, pressed_pose
 from roboxim_tasks.skills.push_object import pushing_poses
 from roboxim_tasks.trials.base import cheat, honest
-from roboxim_tasks.trials.drawers import DRAWERS, drawer_of
 from roboxim_tasks.trials.moves import own_stages
 from roboxim_tasks.trials.neighbours import OTHER, beside_a, colored, put_against
+from roboxim_tasks.trials.parts import DRAWERS, moving
 from roboxim_tasks.trials.place_relation import direction
 from roboxim_tasks.trials.placing import CUBES
 from roboxim_tasks.trials.push_button import OTHER_BUTTON
@@ -24,8 +24,8 @@ from roboxim_tasks.trials.push_object import along, full_way, push, starts
 def two_drawers(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Open a lower drawer first, and then the top one, which was asked for."""
     for other in reversed(DRAWERS[1:]):
-        first = drawer_of(scene, other)
-        for opened in first.pulled(0.08):
+        first = moving(scene, other)
+        for opened in first.moved(0.08):
             for stages in own_stages(scene):
                 yield opened + stages
 

@@ -84,8 +84,9 @@ def _knocks(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
 
 _knocks.__name__ = "knock_another_over"
-cheat(*PLACING, "put_into", "rotate", "pick_up", "push_object", "push_button", "flip_switch", "open_drawer",
-      "close_drawer", reason="toppled_other", change=beside_a("bottle", color="green"))(_knocks)  # fmt: skip
+cheat(*PLACING, "put_into", "rotate", "pick_up", "push_object", "push_button", "flip_switch", "turn_knob",
+      "open_drawer", "close_drawer", "open_door", "close_door",
+      reason="toppled_other", change=beside_a("bottle", color="green"))(_knocks)  # fmt: skip
 cheat("turn_upright", reason="toppled_other", change=beside_a("bottle", CARTON, "green"))(_knocks)
 
 
