@@ -5,7 +5,7 @@ Randomisation: the object's place, yaw and colour; where the end effector starts
 Success: the door is open by more than ``open_rad`` and still, and the robot does not touch the object, for ``hold_s``.
 
 Non-obvious:
-    - The hand turns with the door. It holds the bar's upper part from above, as at a drawer.
+    - The hand turns with the door.
     - The expert pulls 0.1 rad farther than required.
     - A scene with an object in the door's path is refused.
 """
