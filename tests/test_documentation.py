@@ -167,7 +167,7 @@ def test_the_front_page_leads_to_a_task(task: str, page: str) -> None:
 def test_the_front_page_counts_what_there_is() -> None:
     arm, gripper = ["seven", "eight", "nine", "ten"], ["two", "three", "four"]
     thing = ["twenty", "twenty-one", "twenty-two", "twenty-three", "twenty-four"]
-    skill = ["thirteen", "fourteen", "fifteen", "sixteen", "seventeen"]
+    skill = ["thirteen", "fourteen", "fifteen", "sixteen", "seventeen", "eighteen"]
     arms = [name for name in config_names("robots") if "_" not in name]
     said = (
         f"{arm[len(arms) - 7]} arms", f"{gripper[len(config_names('grippers')) - 2]} grippers",
