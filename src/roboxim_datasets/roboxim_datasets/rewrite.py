@@ -21,7 +21,7 @@ from roboxim_core.config import from_plain, to_plain
 from roboxim_core.config import to_json as config_json
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, printable
 from roboxim_core.plain_data.documents import read_json_object, read_text
-from roboxim_datasets.account import Part, to_json
+from roboxim_datasets.account import Fate, Part, to_json
 from roboxim_datasets.build import only_build
 from roboxim_datasets.card import write_card
 from roboxim_datasets.dataset import EXPORT_FILE, SPLITS, Dataset, Description
@@ -174,6 +174,8 @@ def write_dataset(
     if not getattr(made, "maps", True):
         description, more = _without_maps(description, plan, format)
         left_out += more
+    elif (why := getattr(made, "rounds_depth", "")) and not all(s.format == format and s.facts for s in sources):
+        changed += tuple(_parts([f"depth of camera {name}" for name in description.features.depth], plan, "read", why))
     identity = _identity(plan, sources, format, settings, fps)
     splits = {split: len(places) for split, places in plan.items() if places}
     written = Written(path=path, splits=splits, resumed=sum(splits.values()), left_out=tuple(left_out), changed=changed)
@@ -243,16 +245,18 @@ def _require_names(description: Description, plan: Plan) -> None:
 def _without_maps(description: Description, plan: Plan, format: str) -> tuple[Description, list[Part]]:
     """Return a description without images of depth and segmentation, and these as parts that are left out."""
     features = description.features
-    frames = 0
-    if features.depth or features.segmentation:
-        frames = sum(p.dataset.read(p.split, p.index).length for places in plan.values() for p in places)
-    lost = [
-        Part(kind="key", name=f"{what} of camera {camera}", count=frames, fate="left out",
-             why=f"{format} holds colour images only")
-        for what, cameras in (("depth", features.depth), ("segmentation", features.segmentation))
-        for camera in cameras
-    ]  # fmt: skip
+    names = [f"depth of camera {camera}" for camera in features.depth]
+    names += [f"segmentation of camera {camera}" for camera in features.segmentation]
+    lost = _parts(names, plan, "left out", f"{format} holds colour images only")
     return replace(description, features=replace(features, depth=(), segmentation=())), lost
+
+
+def _parts(names: Sequence[str], plan: Plan, fate: Fate, why: str) -> list[Part]:
+    """Return parts of all frames of a plan."""
+    if not names:
+        return []
+    frames = sum(p.dataset.read(p.split, p.index).length for places in plan.values() for p in places)
+    return [Part(kind="key", name=name, count=frames, fate=fate, why=why) for name in names]
 
 
 def _checked(episode: Episode, where: str) -> Episode:

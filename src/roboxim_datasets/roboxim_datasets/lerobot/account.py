@@ -57,7 +57,7 @@ def take_stock(account: Account, meta: LeRobotMeta, *, own: bool, unusable: str)
         if feature["dtype"] == "video":
             account.holds("key", key, steps)
             account.leaves_out("key", key, meta.unread.get(key, ""), steps * (key in meta.unread))
-            account.reads("key", key)
+            account.reads("key", key, changed="" if own else _changed(meta, key))
         elif not account.knows("key", key):
             account.holds("key", key, 0)
     for number, text in meta.tasks.items():
@@ -104,5 +104,7 @@ def _take_stock_of_episodes(account: Account, meta: LeRobotMeta) -> None:
 def _changed(meta: LeRobotMeta, key: str) -> str:
     dtype = str(meta.features[key]["dtype"])
     if key in meta.content.depth:
+        if levels := meta.levels(key):
+            return str(levels)
         return f"depth in units of {meta.unit_m(key) or DEPTH_UNIT_M:g} m, read as metres"
     return "" if dtype in ("float32", "image", "video") or key == "next.success" else f"{dtype}, read as float32"

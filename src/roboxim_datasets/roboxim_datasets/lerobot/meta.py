@@ -21,6 +21,7 @@ from roboxim_datasets.files import has_file
 from roboxim_datasets.lerobot import tables
 from roboxim_datasets.lerobot.columns import peek
 from roboxim_datasets.lerobot.content import LeRobotContent
+from roboxim_datasets.lerobot.depth_video import Levels, is_depth_video, levels_of
 from roboxim_datasets.lerobot.layout import (
     DEPTH_UNITS_M,
     INDEX_COLUMNS,
@@ -130,8 +131,14 @@ class LeRobotMeta:
         for key, feature in self.features.items():
             if feature["dtype"] == "video":
                 self.unread |= {} if own or not (why := self._no_colour(key)) else {key: why}
-                found += [] if key in self.unread else [key]
+                found += [] if key in self.unread and not self._is_of_camera(key) else [key]
         return found
+
+    def _is_of_camera(self, key: str) -> bool:
+        """Return whether a video of depth can be that of a camera, by its name."""
+        images = [name for name, feature in self.features.items() if feature["dtype"] in ("image", "video")]
+        cameras = [name.removeprefix(_CAMERA_PREFIX) for name in images if not self._no_colour(name)]
+        return self.levels(key) is not None and bool(camera_of(key.removeprefix(_CAMERA_PREFIX), cameras))
 
     def _no_colour(self, key: str) -> str:
         """Return why a column of images is none of colour images; empty: it is one, as far as its description says."""
@@ -154,18 +161,20 @@ class LeRobotMeta:
         return {name: value for part in parts for name, value in part.items()}
 
     def _deep_video(self, key: str) -> str:
-        """Return that a video is one of depth, and what is said of its numbers; empty: it is none."""
+        """Return why a video is none of colours; empty: it is one, as far as its description says."""
         about = self._about(key)
-        pixels = str(about.get("video.pix_fmt", about.get("pix_fmt", "")))
-        deep = any(bool(about.get(name)) for name in ("video.is_depth_map", "is_depth_map"))
-        if not deep and not pixels.startswith(("gray1", "gray9")):
+        if not is_depth_video(about):
             return ""
-        said = f"a video of depth ({printable(pixels or 'is_depth_map', 40)})"
-        names = [f"video.{name}" for name in ("depth_min", "depth_max", "shift", "use_log")]
-        if not any(name in about for name in names):
-            return f"{said}, whose unit the format does not state"
-        scale = ", ".join(f"{name.removeprefix('video.')} {printable(about.get(name), 20)}" for name in names)
-        return f"{said} whose numbers are quantised ({scale}); no video of depth is read"
+        levels = levels_of(about, self.unit_m(key))
+        return levels if isinstance(levels, str) else str(levels)
+
+    def levels(self, key: str) -> Levels | None:
+        """Return what the numbers of a video of depth mean; None: it is none, or nothing says it."""
+        about = self._about(key)
+        if self.features[key]["dtype"] != "video" or not is_depth_video(about):
+            return None
+        levels = levels_of(about, self.unit_m(key))
+        return None if isinstance(levels, str) else levels
 
     def unit_m(self, key: str) -> float:
         """Return the unit of a column of depth images [m], as ``info.json`` or the user states it; 0: unknown."""
@@ -218,22 +227,25 @@ class LeRobotMeta:
         return "16-bit depth images, whose unit the format does not state (--depth-unit does)" if deep else ""
 
     def _depth(self, cameras: Mapping[str, str], columns: Mapping[str, Any]) -> dict[str, str]:
-        """Return the columns of 16-bit depth images that become the depth of a camera, if their unit is stated."""
+        """Return the columns of depth images and videos that become a camera's depth, if it is known what they mean."""
         found: dict[str, str] = {}
         for key in self.unread:
-            if self.features[key]["dtype"] != "image" or not self.unit_m(key) or not self._deep(columns.get(key)):
+            video = self.levels(key) is not None
+            image = self.features[key]["dtype"] == "image" and self.unit_m(key) and self._deep(columns.get(key))
+            if not video and not image:
                 continue
             if self.depth_unit_m not in (0, self.unit_m(key)):
                 unit = self._about(key)["depth_unit"]
                 raise InvalidRequestError(f"{self.path} says that '{key}' is in {unit}; leave --depth-unit out")
             camera = camera_of(key.removeprefix(_CAMERA_PREFIX), cameras.values())
-            size = head_of(columns[key]["bytes"]).size
+            size = image_size(self.shape(key)) if video else head_of(columns[key]["bytes"]).size
             colour = next((image_size(self.shape(name)) for name, own in cameras.items() if own == camera), None)
             if colour == size and camera not in found.values():
                 found[key] = camera
             else:
+                kind = "a video of depth" if video else "16-bit depth images"
                 self.unread[key] = (
-                    f"16-bit depth images of {size.width} x {size.height} without a colour camera of that name and size"
+                    f"{kind} of {size.width} x {size.height} without a colour camera of that name and size"
                 )
         self.unread = {key: why for key, why in self.unread.items() if key not in found}
         return found

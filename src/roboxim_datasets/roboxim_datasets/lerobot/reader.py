@@ -220,17 +220,21 @@ class LeRobotDataset(Dataset):
         depth = {camera: key for key, camera in content.depth.items() if camera in wanted.depth}
         masks = {camera: key for key, camera in content.segmentation.items() if camera in wanted.segmentation}
         columns = [key for key in self.meta.number_columns if key in self.meta.features and key not in self.meta.unread]
-        encoded = [*stored.values(), *depth.values(), *masks.values()]
+        films = {camera: levels for camera, key in depth.items() if (levels := self.meta.levels(key))}
+        pictured = {camera: key for camera, key in depth.items() if camera not in films}
+        encoded = [*stored.values(), *pictured.values(), *masks.values()]
         table = self._rows(place, [*columns, *encoded])
         numbers = {key: floats(table, key, math.prod(self.meta.shape(key)), where) for key in columns}
         videos = {camera: self._frames(place, key) for camera, key in keys.items() if camera not in stored}
         texts = self._texts(place)
         several, subtasks = len(set(texts)) > 1, self._subtasks_of(place)
-        deep, sizes = [*depth.items(), *masks.items()], self.features.cameras
-        units = {key: self.meta.unit_m(key) or DEPTH_UNIT_M for key in depth.values()}
+        films_of_depth = {camera: self._frames(place, depth[camera], deep=True) for camera in films}
+        deep, sizes = [*pictured.items(), *masks.items()], self.features.cameras
+        units = {key: self.meta.unit_m(key) or DEPTH_UNIT_M for key in pictured.values()}
         for step in range(place.length):
             read = {key: self._image_bytes(cells(table, key, step, where)) for key in encoded}
             images: dict[str, RGBImage] = {camera: next(frames) for camera, frames in videos.items()}
+            filmed = {camera: films[camera].metres(next(frames)) for camera, frames in films_of_depth.items()}
             with reading(f"{where}, step {step}"):
                 images |= {
                     camera: decoded(colour_picture, read[key], sizes[camera], f"{where}, step {step}, '{key}'")
@@ -243,7 +247,7 @@ class LeRobotDataset(Dataset):
             yield Step(
                 index=step,
                 images={camera: images[camera] for camera in keys},
-                depth={camera: maps[key] * np.float32(units[key]) for camera, key in depth.items()},
+                depth=filmed | {camera: maps[key] * np.float32(units[key]) for camera, key in pictured.items()},
                 segmentation={camera: maps[key] for camera, key in masks.items()},
                 proprio={vector: numbers[key][step] for key, vector in content.vectors.items()},
                 action=numbers[content.names.action][step],
@@ -254,16 +258,14 @@ class LeRobotDataset(Dataset):
                 subtask=subtasks[step],
                 stamp_s=float(numbers[TIMESTAMP][step, 0]) if TIMESTAMP in numbers else None,
             )
-        for frames in videos.values():  # ends the decoding; a broken file says so
+        for frames in (*videos.values(), *films_of_depth.values()):  # ends the decoding; a broken file says so
             next(frames, None)
 
-    def _frames(self, place: Place, key: str) -> Iterator[RGBImage]:
+    def _frames(self, place: Place, key: str, *, deep: bool = False) -> Iterator[Any]:
         file, first = place.videos[key]
-        size = image_size(self.meta.shape(key))
-        sizes = {"height": size.height, "width": size.width}
-        return self._decoder.frames(
-            file_in(self.path, file), rate=self.meta.fps, first=first, count=place.length, **sizes
-        )
+        size, path = image_size(self.meta.shape(key)), file_in(self.path, file)
+        shape = {"height": size.height, "width": size.width}
+        return self._decoder.frames(path, rate=self.meta.fps, first=first, count=place.length, deep=deep, **shape)
 
     def _image_bytes(self, cell: Mapping[str, Any]) -> bytes:
         if cell.get("bytes"):

@@ -242,9 +242,17 @@ class VideoDecoder:
         weakref.finalize(self, _end, self._running)  # also at the interpreter's exit, while modules still exist
 
     def frames(
-        self, path: Path, *, rate: Fraction, first: int, count: int, height: int = 0, width: int = 0
-    ) -> Iterator[RGBImage]:
-        """Yield ``count`` RGB frames from frame ``first``, uint8, shape (height, width, 3).
+        self,
+        path: Path,
+        *,
+        rate: Fraction,
+        first: int,
+        count: int,
+        height: int = 0,
+        width: int = 0,
+        deep: bool = False,
+    ) -> Iterator[npt.NDArray[Any]]:
+        """Yield ``count`` frames from frame ``first``: RGB, uint8, shape (height, width, 3).
 
         Args:
             path: Video file.
@@ -253,6 +261,7 @@ class VideoDecoder:
             count: Number of frames.
             height: Expected height of the frames [px]; 0: any.
             width: Expected width of the frames [px]; 0: any.
+            deep: Whether frames are grey ones of 9 to 16 bits, which are yielded as uint16, shape (height, width).
 
         Raises:
             RecorderError: With code ``BAG_DAMAGED`` when the file cannot be read, has too few frames, or frames of
@@ -260,7 +269,7 @@ class VideoDecoder:
         """
         number = next(self._numbers)
         self._ask({"op": "start", "video": number, "path": str(path), "rate": str(rate), "first": first,
-                   "count": count, "height": height, "width": width})  # fmt: skip
+                   "count": count, "height": height, "width": width, "deep": deep})  # fmt: skip
         try:
             left = count
             while left:
@@ -274,9 +283,10 @@ class VideoDecoder:
                     )
                 at = 0
                 for shape in header["shapes"]:
-                    image = np.frombuffer(data, np.uint8, int(np.prod(shape)), at).reshape(shape)
+                    kind = np.dtype(np.uint16 if deep else np.uint8)
+                    image = np.frombuffer(data, kind, int(np.prod(shape)), at).reshape(shape)
                     image.setflags(write=False)
-                    at += image.size
+                    at += image.nbytes
                     left -= 1
                     yield image
         finally:

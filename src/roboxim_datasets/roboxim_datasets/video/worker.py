@@ -115,7 +115,17 @@ def _require_frames(file: BinaryIO, start: int, end: int) -> None:
 class Decoding:
     """Frames of a video, in order from a given one."""
 
-    def __init__(self, path: str, *, rate: Fraction, first: int, count: int, height: int = 0, width: int = 0) -> None:
+    def __init__(
+        self,
+        path: str,
+        *,
+        rate: Fraction,
+        first: int,
+        count: int,
+        height: int = 0,
+        width: int = 0,
+        deep: bool = False,
+    ) -> None:
         most = (height + _PADDING) * (width + _PADDING) if height and width else _MOST_PIXELS
         self._container = opened(path, most)
         if not self._container.streams.video:
@@ -128,11 +138,13 @@ class Decoding:
             raise ValueError(f"frames of {found}, expected {width} x {height}")
         if codec.width * codec.height > _MOST_PIXELS:
             raise ValueError(f"frames of {codec.width} x {codec.height} pixels; at most {_MOST_PIXELS} are read")
-        if str(codec.pix_fmt).startswith(_DEEP):
+        if str(codec.pix_fmt).startswith(_DEEP) and not deep:
             raise ValueError(
                 f"depth frames ({codec.pix_fmt}), expected colour; the dataset does not say that it is depth"
             )
-        self._rate, self._left, self._convert = rate, count, VideoReformatter()
+        if deep and not (str(codec.pix_fmt).startswith(_DEEP) and str(codec.pix_fmt).endswith("le")):
+            raise ValueError(f"frames of {codec.pix_fmt}, expected depth: grey frames of 9 to 16 bits")
+        self._rate, self._left, self._convert = rate, count, None if deep else VideoReformatter()
         base: Any = self._video.time_base
         self._base = base
         if first:
@@ -141,16 +153,14 @@ class Decoding:
             self._container.seek(max(at, 0), stream=self._video, backward=True)
         self._frames = self._from(first)
 
-    def read(self, count: int) -> list[npt.NDArray[np.uint8]]:
-        """Return the next RGB frames, fewer at the end."""
-        found: list[npt.NDArray[np.uint8]] = []
+    def read(self, count: int) -> list[npt.NDArray[Any]]:
+        """Return the next frames, fewer at the end."""
+        found: list[npt.NDArray[Any]] = []
         while self._left and len(found) < count:
             frame = next(self._frames, None)
             if frame is None:
                 break
-            found.append(
-                np.ascontiguousarray(self._convert.reformat(frame, format="rgb24", threads=1).to_ndarray(), np.uint8)
-            )
+            found.append(_rgb(frame, self._convert) if self._convert else _deep(frame))
             self._left -= 1
         return found
 
@@ -168,6 +178,17 @@ class Decoding:
                 raise ValueError(f"frame {expected} is missing; the next one is {number}")
             yield frame
             expected += 1
+
+
+def _rgb(frame: Any, convert: VideoReformatter) -> npt.NDArray[np.uint8]:
+    return np.ascontiguousarray(convert.reformat(frame, format="rgb24", threads=1).to_ndarray(), np.uint8)
+
+
+def _deep(frame: Any) -> npt.NDArray[np.uint16]:
+    """Return the numbers of a grey frame, whose rows in memory are longer than the picture's."""
+    plane = frame.planes[0]
+    rows = np.frombuffer(plane, "<u2").reshape(-1, plane.line_size // 2)
+    return np.ascontiguousarray(rows[: frame.height, : frame.width], np.uint16)
 
 
 def join(pieces: list[str], path: str, rate: Fraction) -> Header:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from made_foreign import EPISODES, SIDE, STEPS, lerobot30, png
+from made_foreign import CAMERA, EPISODES, SIDE, STEPS, lerobot30, png
 from PIL import Image
 
 from roboxim_core.errors import InvalidRequestError, RecorderError
@@ -118,6 +119,114 @@ def test_depth_whose_unit_lerobot_states_needs_no_option(
 def test_a_unit_that_lerobot_does_not_know_is_none(tmp_path: Path) -> None:
     [part] = open_dataset(stated(tmp_path / "a", "furlong", millimetres)).account.left_out
     assert part.name == TOP
+
+
+LEVELS = {"video.depth_min": 0.01, "video.depth_max": 10.0, "video.shift": 3.5, "video.use_log": True}
+FILM_SIDE = 64
+
+
+def filmed(folder: Path, numbers: Callable[[int], np.ndarray], pixels: str) -> Path:
+    """Write a dataset as lerobot 0.6 does: depth in a video without loss beside a camera's pictures."""
+    import av
+
+    folder, key = with_depth(folder, "observation.images.none"), TOP
+    path, rows = folder / f"videos/{key}/chunk-000/file-000.mp4", EPISODES * STEPS
+    path.parent.mkdir(parents=True)
+    with av.open(str(path), "w") as file:
+        stream = file.add_stream("libx265", rate=10, options={"x265-params": "lossless=1:log-level=none"})
+        stream.width = stream.height = FILM_SIDE
+        stream.pix_fmt = pixels
+        for row in range(rows):
+            frame = av.VideoFrame.from_ndarray(numbers(row % STEPS), format=pixels)
+            frame.pts = row
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode(None))
+    table = pq.read_table(folder / DATA).drop_columns(["observation.images.none"])
+    cells = [{"bytes": png(np.zeros((FILM_SIDE, FILM_SIDE, 3), np.uint8)), "path": None}] * rows
+    at = table.column_names.index(CAMERA)
+    pq.write_table(table.set_column(at, CAMERA, pa.array(cells, table.schema.field(CAMERA).type)), folder / DATA)
+    episodes = pq.read_table(folder / "meta/episodes/chunk-000/file-000.parquet")
+    columns = {"chunk_index": [0] * EPISODES, "file_index": [0] * EPISODES}
+    columns |= {"from_timestamp": [STEPS * episode / 10 for episode in range(EPISODES)]}
+    for name, values in columns.items():
+        episodes = episodes.append_column(f"videos/{key}/{name}", pa.array(values))
+    pq.write_table(episodes, folder / "meta/episodes/chunk-000/file-000.parquet")
+    info = json.loads((folder / "meta/info.json").read_text())
+    info["video_path"] = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+    info["features"][CAMERA]["shape"] = [FILM_SIDE, FILM_SIDE, 3]
+    about = {"is_depth_map": True, "depth_unit": "mm", "video.pix_fmt": "gray12le", **LEVELS}
+    del info["features"]["observation.images.none"]
+    info["features"][key] = {"dtype": "video", "shape": [FILM_SIDE, FILM_SIDE, 1], "names": None, "info": about}
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    return folder
+
+
+def codes(step: int) -> np.ndarray:
+    """Return a frame of 12-bit numbers."""
+    return (np.arange(FILM_SIDE**2, dtype=np.uint16) + step).reshape(FILM_SIDE, FILM_SIDE) % 4096
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return filmed(tmp_path_factory.mktemp("film") / "a", codes, "gray12le")
+
+
+def described(film: Path, folder: Path, changes: dict[str, Any]) -> Path:
+    """Return a copy of a dataset whose video of depth is described otherwise; None: not at all."""
+    shutil.copytree(film, folder)
+    info = json.loads((folder / "meta/info.json").read_text())
+    about = info["features"][TOP]["info"] | changes
+    info["features"][TOP]["info"] = {name: value for name, value in about.items() if value is not None}
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    return folder
+
+
+@pytest.mark.parametrize("log", [True, False])
+def test_a_video_of_depth_is_read_by_the_levels_that_lerobot_states(film: Path, tmp_path: Path, log: bool) -> None:
+    at = open_dataset(described(film, tmp_path / "a", {"video.use_log": log}))
+    assert not at.account.left_out
+    level = np.stack([codes(step) for step in range(STEPS)]) / 4095
+    expected = 0.01 + level * 9.99
+    if log:
+        expected = np.exp(np.log(3.51) + level * np.log(13.5 / 3.51)) - 3.5
+    np.testing.assert_allclose(depths(at), expected, atol=1e-6)
+    np.testing.assert_array_equal(depths(converted(at, tmp_path / "b", "hdf5")), depths(at))
+    written = write_dataset(plan_of(at), tmp_path / "c", "lerobot", LeRobotOptions(images=True), how="convert")
+    found = depths(open_dataset(written.path))
+    np.testing.assert_allclose(found, np.where(expected > 8.19175, 0, expected), atol=1.3e-4)
+    assert [part.why for part in written.changed if part.name == "depth of camera top"] == [
+        "in units of 0.00025 m; 0 where it is beyond 8.19 m or unknown"
+    ]
+
+
+def test_a_video_of_distances_needs_their_unit(film: Path, tmp_path: Path) -> None:
+    folder = described(film, tmp_path / "a", dict.fromkeys([*LEVELS, "depth_unit"]))
+    [part] = open_dataset(folder).account.left_out
+    assert part.why == "a video of depth (gray12le), whose unit the format does not state (--depth-unit does)"
+    expected = np.stack([codes(step) for step in range(STEPS)]) * UNIT_M
+    np.testing.assert_allclose(depths(open_dataset(folder, depth_unit_m=UNIT_M)), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("video.depth_max", 0.01),
+        ("video.depth_max", "far"),
+        ("video.depth_min", -1.0),
+        ("video.shift", -0.01),
+        ("video.use_log", None),
+        ("video.pix_fmt", "yuv420p"),
+    ],
+)
+def test_a_video_of_depth_on_a_scale_that_cannot_be_is_named(film: Path, tmp_path: Path, name: str, value: Any) -> None:
+    [part] = open_dataset(described(film, tmp_path / "a", {name: value or "yes"})).account.left_out
+    assert (part.name, part.count) == (TOP, EPISODES * STEPS)
+
+
+def test_a_video_that_is_none_of_depth_is_damage(tmp_path: Path) -> None:
+    folder = filmed(tmp_path / "a", lambda step: codes(step).astype(np.uint8), "gray")
+    with pytest.raises(RecorderError, match="frames of gray.*, expected depth: grey frames of 9 to 16 bits"):
+        depths(open_dataset(folder))
 
 
 @pytest.mark.parametrize(("key", "side"), [("observation.images.wrist_depth", SIDE), (TOP, 2 * SIDE)])

@@ -187,8 +187,7 @@ def test_what_lerobot_leaves_out(tmp_path: Path) -> None:
     assert set(left_out) == {"said", "1 'nothing'", "observation.images.deep", "observation.images.scaled"}
     assert left_out["observation.images.deep"].startswith("a video of depth (gray12le)")
     assert left_out["observation.images.scaled"] == (
-        "a video of depth (gray12le) whose numbers are quantised (depth_min 0.01, depth_max 10.0, shift 3.5, use_log "
-        "True); no video of depth is read"
+        "a video of depth of 8 x 8 without a colour camera of that name and size"
     )
 
 
