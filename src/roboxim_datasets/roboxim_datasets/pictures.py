@@ -19,6 +19,8 @@ MOST_PIXELS = 2**26
 """Pixels of an image: 8192 x 8192. A file of a few bytes can claim more than any memory holds."""
 MOST_COMPONENTS = 2**16
 """Components of a vector."""
+_ALWAYS_READ = 2**23  # pixels
+_MOST_PER_BYTE = 1100  # pixels; PNG's deflate packs at most 1,032 bytes into one
 _WIDE = ("I", "F")  # Pillow's modes of more than 8 bits a channel begin so
 
 
@@ -36,7 +38,7 @@ def head_of(data: bytes) -> PictureHead:
     """Read the head of an encoded picture.
 
     Raises:
-        RecorderError: With code ``BAG_DAMAGED`` when it is no picture or claims more than `MOST_PIXELS`.
+        RecorderError: With code ``BAG_DAMAGED`` when it is no picture, or claims more than `MOST_PIXELS` or bytes can hold.
     """
     try:
         with warnings.catch_warnings():
@@ -49,6 +51,8 @@ def head_of(data: bytes) -> PictureHead:
         raise _bad(f"{len(data)} bytes that are no picture") from None
     if width * height > MOST_PIXELS:
         raise _bad(f"a picture claims {width} x {height} pixels; at most {MOST_PIXELS} are read")
+    if width * height > max(_ALWAYS_READ, _MOST_PER_BYTE * len(data)):
+        raise _bad(f"a picture claims {width} x {height} pixels, which its {len(data)} bytes cannot hold")
     return PictureHead(size=ImageSize(height=height, width=width), deep=mode.startswith(_WIDE))
 
 

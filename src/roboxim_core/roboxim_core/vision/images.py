@@ -69,7 +69,8 @@ def decode_image(data: bytes) -> RgbImage:
     """
     import cv2
 
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB) if data else None
+    as_stored = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION  # whatever a camera's EXIF says
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), as_stored) if data else None
     if image is None:
         raise InvalidRequestError(f"{len(data)} bytes that are not a JPEG or PNG image")
     return np.asarray(image, np.uint8)

@@ -117,12 +117,14 @@ def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:
     names = component_names_of(episode, features)
     executed = EXECUTED.removeprefix(SIGNAL_PREFIX)
     others = [name for name in episode.signals if name != executed]
+    shapes = {camera: features.images[key] for camera, key in keys.items()}
+    sizes = {camera: ImageSize(height=height, width=width) for camera, (height, width) in shapes.items()}
 
     def read(wanted: Wanted) -> Iterator[Step]:
         for index in range(len(episode)):
             yield Step(
                 index=index,
-                images={camera: episode.frame(keys[camera], index) for camera in wanted.cameras},
+                images={camera: episode.frame(keys[camera], index, sizes[camera]) for camera in wanted.cameras},
                 encoded={camera: (features.encoding, episode.images[keys[camera]][index]) for camera in wanted.cameras},
                 proprio={name: values[index] for name, values in episode.vectors.items()},
                 action=episode.action[index],
@@ -134,13 +136,12 @@ def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:
             )
 
     semantics = semantics_of(episode)
-    sizes = {camera: features.images[key] for camera, key in keys.items()}
     return Episode(
         episode_id=str(metadata.get("episode_id", "")),
         length=len(episode),
         instruction=episode.instruction,
         semantics=semantics,
-        cameras={camera: ImageSize(height=height, width=width) for camera, (height, width) in sizes.items()},
+        cameras=sizes,
         instructions=tuple(dict.fromkeys(episode.instructions)),
         subtasks=tuple(dict.fromkeys(episode.subtasks)),
         success=_success(episode),

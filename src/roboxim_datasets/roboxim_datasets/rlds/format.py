@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_core.vision.images import ENCODINGS
-from roboxim_datasets.episode import MetaValue
+from roboxim_datasets.episode import ImageSize, MetaValue
 from roboxim_datasets.pictures import MOST_COMPONENTS, MOST_PIXELS, colour_picture
 from roboxim_datasets.rlds.tfrecord import Feature, decode_example, encode_example
 
@@ -103,14 +103,19 @@ class RldsEpisode:
         """The vector ``state``: float32, shape (T, size)."""
         return self.vectors["state"]
 
-    def frame(self, key: str, step: int) -> npt.NDArray[np.uint8]:
+    def frame(self, key: str, step: int, expected: ImageSize | None = None) -> npt.NDArray[np.uint8]:
         """Decode one image, uint8, shape (height, width, 3).
 
+        Args:
+            key: Image key.
+            step: Number of the step.
+            expected: Its size, which is checked before memory is taken; None: any.
+
         Raises:
-            RecorderError: With code ``BAG_DAMAGED`` if the bytes are not an image.
+            RecorderError: With code ``BAG_DAMAGED`` if the bytes are not an image, or one of another size.
         """
         try:
-            return colour_picture(self.images[key][step])
+            return colour_picture(self.images[key][step], expected)
         except RecorderError as error:
             raise RecorderError(f"step {step}, image '{key}': {error}", ErrorCode.BAG_DAMAGED) from None
 

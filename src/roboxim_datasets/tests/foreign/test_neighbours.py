@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -9,11 +10,14 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from made_foreign import EPISODES, STEPS, hdf5, lerobot30
+from made_foreign import EPISODES, STEPS, hdf5, lerobot30, rlds
+from PIL import Image
 
 from roboxim_core.errors import RoboximError
 from roboxim_datasets.audit import AuditEpisode, Auditor
+from roboxim_datasets.episode import ImageSize
 from roboxim_datasets.formats import open_dataset
+from roboxim_datasets.pictures import colour_picture, head_of
 from roboxim_datasets.rewrite import plan_of, write_dataset
 
 
@@ -57,6 +61,29 @@ def test_cameras_of_several_sizes_are_audited(tmp_path: Path) -> None:
     for number, episode in enumerate(dataset.episodes()):
         auditor.add(AuditEpisode(name=str(number), split="", episode=episode))
     assert not auditor.result().unreadable
+
+
+def test_a_picture_of_rlds_has_the_described_size(tmp_path: Path) -> None:
+    dataset = open_dataset(rlds(tmp_path / "a", side=16))
+    with pytest.raises(RoboximError, match="step 0, image 'image': a picture has the size 8 x 8, expected 16 x 16"):
+        list(dataset.episode(0).steps())
+
+
+def test_a_picture_is_as_large_as_its_bytes_can_hold() -> None:
+    plain = io.BytesIO()
+    Image.new("RGB", (4096, 4096)).save(plain, "WEBP", lossless=True)
+    with pytest.raises(RoboximError, match=f"claims 4096 x 4096 pixels, which its {plain.tell()} bytes cannot hold"):
+        head_of(plain.getvalue())
+    plain = io.BytesIO()
+    Image.new("RGB", (4096, 4096)).save(plain, "PNG")
+    assert head_of(plain.getvalue()).size == ImageSize(height=4096, width=4096)
+
+
+def test_a_picture_is_not_turned_by_what_its_camera_notes() -> None:
+    turned, out = Image.Exif(), io.BytesIO()
+    turned[0x112] = 6  # by 90 degrees
+    Image.new("RGB", (12, 8)).save(out, "JPEG", exif=turned)
+    assert colour_picture(out.getvalue(), ImageSize(height=8, width=12)).shape == (8, 12, 3)
 
 
 def test_a_text_that_hdf5_cannot_hold_is_refused_by_name(tmp_path: Path) -> None:
