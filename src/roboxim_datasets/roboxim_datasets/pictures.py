@@ -38,7 +38,7 @@ def head_of(data: bytes) -> PictureHead:
     """Read the head of an encoded picture.
 
     Raises:
-        RecorderError: With code ``BAG_DAMAGED`` when it is no picture, or claims more than `MOST_PIXELS` or bytes can hold.
+        RecorderError: With code ``BAG_DAMAGED`` when it is no picture, or claims more than `MOST_PIXELS` or bytes hold.
     """
     try:
         with warnings.catch_warnings():
