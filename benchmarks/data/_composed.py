@@ -96,6 +96,7 @@ def _pass(
             if fault.text:
                 planted[name], audited = fault, copy.as_episode()
         made = AuditEpisode(name=name, split=opened.place(number)[0], episode=audited, arm=arm)
+        made.exact_images = opened.features.lossless
         if name in planted:
             made.expected, made.lossless = expected.find(episode, name), opened.features.lossless
         auditor.add(made)

@@ -178,6 +178,8 @@ class AuditEpisode:
     """Why it should not be there at all; empty: it should."""
     lossless: bool = True
     """Whether its images should be equal to the expected ones, pixel by pixel."""
+    exact_images: bool = False
+    """Whether its images are stored without loss, so that one that is repeated is equal pixel by pixel."""
 
     @cached_property
     def steps(self) -> tuple[Step, ...]:

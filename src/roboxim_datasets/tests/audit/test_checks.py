@@ -276,6 +276,29 @@ def test_a_camera_may_repeat_its_image_while_the_arm_rests() -> None:
     assert found("frozen_camera", audited.episode(images=still)) == ("e0",)
 
 
+def test_a_picture_that_hardly_changes_is_no_repeated_one_where_images_are_exact() -> None:
+    films = audited.arrays(0)["images"]
+
+    def held(ticks: int, *, equal: bool) -> AuditEpisode:
+        """An episode whose film shows a tick for some more, with a few pixels that differ a little each time."""
+        film = list(films["wrist"])
+        for k in range(1, ticks):
+            film[20 + k] = film[20].copy()
+            film[20 + k][:2, :2] += np.uint8(0 if equal else 2 * (k % 2))
+        images = {**films, "wrist": film}
+        return AuditEpisode(name="e0", split="", episode=audited.episode(images=images))
+
+    for exact, ticks, equal, faulty in (
+        (True, 3, True, True),
+        (True, 3, False, False),
+        (True, 6, False, True),  # stored with loss before
+        (False, 3, False, True),
+    ):
+        item = held(ticks, equal=equal)
+        item.exact_images = exact
+        assert bool(found("frozen_camera", item)) is faulty, (exact, ticks, equal)
+
+
 def plain(film: list[np.ndarray], ticks: slice, brightness: float) -> list[np.ndarray]:
     """Return a film that shows, at some ticks, a surface without texture, with a little shading."""
     shading = np.linspace(-1.5, 1.5, film[0].shape[1])[None, :, None]
@@ -381,6 +404,19 @@ def test_an_arm_that_a_contact_pushes_aside_for_a_tick_is_a_warning() -> None:
     place = audited.arrays(0)["tcp_position"].copy()
     place[20:22, 1] += 0.003  # the arm stays aside, as no contact of one tick leaves it
     assert found("motion", audited.episode(tcp_position=place), *others) == ("e0",)
+
+
+def test_an_arm_whose_joint_is_as_fast_as_it_can_falls_behind_and_catches_up() -> None:
+    others = [audited.episode(seed) for seed in range(1, 12)]
+    place, joints = audited.arrays(0)["tcp_position"].copy(), audited.arrays(0)["joint_positions"].copy()
+    place[20, 1] += 0.008 * np.sign(place[19, 1] - place[20, 1])
+    joints[20:, 3] += 0.2
+    arm = audited.KnownArm()
+    arm.velocity = np.full(7, 1e3)
+    for at_limit, faulty in ((True, ()), (False, ("e0",))):
+        arm.velocity[3] = abs(joints[20, 3] - joints[19, 3]) * 10 if at_limit else 1e3
+        episode = audited.episode(tcp_position=place, joint_positions=joints)
+        assert found("motion", AuditEpisode(name="e0", split="", episode=episode, arm=arm), *others) == faulty
 
 
 def relabelled(episode: Any, labels: np.ndarray) -> Any:

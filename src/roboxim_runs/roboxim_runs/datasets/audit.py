@@ -104,6 +104,7 @@ class _Entry:
     episode: Episode | None = None
     bag: Path | None = None
     no_bag: str = ""
+    exact_images: bool = False
 
 
 def audit_dataset(
@@ -192,7 +193,7 @@ def _entries(path: Path, config: AuditConfig) -> tuple[int, Iterator[_Entry], Ex
     if holds_bags(path):
         bags = ([path] if path.is_file() else list(run_bags(path).paths))[:max_entries]
         why = "bags are what was recorded; a dataset is compared with them"
-        return len(bags), (_Entry(name=bag.name, bag=bag) for bag in bags), why
+        return len(bags), (_Entry(name=bag.name, bag=bag, exact_images=True) for bag in bags), why
     dataset = open_dataset(path)
     count = min(len(dataset), max_entries or len(dataset))
     found = _Bags(config.bags)
@@ -220,7 +221,8 @@ def _of_dataset(dataset: Dataset, count: int, bags: _Bags) -> Iterator[_Entry]:
             yield _Entry(name=name, split=split, no_bag=str(error))
             continue
         bag, why = bags.find(episode)
-        yield _Entry(name=name, split=split, episode=episode, bag=bag, no_bag=why)
+        exact = dataset.features.lossless
+        yield _Entry(name=name, split=split, episode=episode, bag=bag, no_bag=why, exact_images=exact)
 
 
 PART_OF = "it has the steps of one actor of {}, and ground truth needs all of them"
@@ -270,7 +272,7 @@ def _episode(entry: _Entry, ports: TruthPorts, expected: Expected | str) -> Audi
         episode = bag_episode(source, truth.joint_names)
     made = AuditEpisode(name=entry.name, split=entry.split, episode=episode, source=str(entry.bag or ""))
     made.no_truth = entry.no_bag or made.no_truth
-    made.arm = _arm(episode, ports)
+    made.arm, made.exact_images = _arm(episode, ports), entry.exact_images
     if isinstance(expected, str):
         made.no_expected = expected
     else:

@@ -8,10 +8,13 @@ import numpy as np
 
 from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
 from roboxim_datasets.audit.checks.control import longest_run
-from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Values
+from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Flags, Values
 
 EQUAL = 3.0
 EQUAL_FRAMES = 3
+NOISY_FRAMES = 6
+"""Images in a row that are equal but for noise, where a dataset stores images without loss: they may have been stored
+with loss before."""
 MOVED_M = 0.005
 BLANK = 2.0
 CONSTANT = 0.5
@@ -26,9 +29,10 @@ class FrozenCamera(AuditCheck):
     title = "A camera stands still"
     reason = "The images belong to other ticks than the actions: the policy learns to act on what was."
     threshold = (
-        f"{EQUAL_FRAMES} or more images in a row of which no cell (1/32 of a side) changes by more than {EQUAL:g} of "
-        f"255, while the hand moves by more than {1000 * MOVED_M:g} mm; a camera at half the control rate passes, and "
-        f"one that shows nothing but a plain surface (a standard deviation of the brightness below {PLAIN:g})"
+        f"{EQUAL_FRAMES} or more images in a row that are equal, while the hand moves by more than {1000 * MOVED_M:g} "
+        f"mm; where images are stored with loss, or in {NOISY_FRAMES} and more, equal means that no cell (1/32 of a "
+        f"side) changes by more than {EQUAL:g} of 255; a camera at half the control rate passes, and one that shows "
+        f"nothing but a plain surface (a standard deviation of the brightness below {PLAIN:g})"
     )
     needs = "images, and the position of the hand or a second camera"
     order = 14
@@ -40,14 +44,16 @@ class FrozenCamera(AuditCheck):
         for camera, track in episode.tracks.items():
             moved = _moved(episode, camera)
             plain = track.deviation < PLAIN
-            change = (track.change < EQUAL) & ~(plain[1:] & plain[:-1])
-            start, length = longest_run(change)
-            runs = []
-            while length + 1 >= EQUAL_FRAMES:
-                if moved[start : start + length].sum() > MOVED_M:
-                    runs.append((start, length + 1))
-                change[start : start + length] = False
-                start, length = longest_run(change)
+            seen = ~(plain[1:] & plain[:-1])
+            if episode.exact_images:
+                runs = list(_still((track.change == 0) & seen, EQUAL_FRAMES, moved))
+                runs = runs or [
+                    (start, frames)
+                    for start, frames in _still((track.change < EQUAL) & seen, NOISY_FRAMES, moved)
+                    if np.abs(track.cells[start + frames - 1] - track.cells[start]).max() < EQUAL
+                ]
+            else:
+                runs = list(_still((track.change < EQUAL) & seen, EQUAL_FRAMES, moved))
             if runs:
                 begin, frames = runs[0]
                 yield Finding(
@@ -58,6 +64,23 @@ class FrozenCamera(AuditCheck):
                     cameras=(camera,),
                     series={f"{camera}: largest change of a cell": tuple(track.change)},
                 )
+
+
+def _still(equal: Flags, least: int, moved: Values) -> Iterator[tuple[int, int]]:
+    """Yield the first tick and the number of images of each run of equal images while the hand moves, longest first.
+
+    Args:
+        equal: Whether an image equals the one before, shape (T - 1,).
+        least: Fewest images of a run.
+        moved: How far the hand moves between ticks [m], shape (T - 1,).
+    """
+    left = equal.copy()
+    start, length = longest_run(left)
+    while length + 1 >= least:
+        if moved[start : start + length].sum() > MOVED_M:
+            yield start, length + 1
+        left[start : start + length] = False
+        start, length = longest_run(left)
 
 
 def _moved(episode: AuditEpisode, camera: str) -> Values:

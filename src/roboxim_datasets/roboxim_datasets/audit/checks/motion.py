@@ -45,7 +45,8 @@ class _Seen:
     simulated: bool
     failed: bool
     limited: Flags
-    """Steps in which a joint moved as fast as it can, shape (T - 1,)."""
+    """Steps in which a joint moved as fast as it can, and those after each, in which the arm catches up; shape
+    (T - 1,)."""
 
 
 @AUDIT_CHECKS.register("motion")
@@ -58,8 +59,9 @@ class Motion(AuditCheck):
         "measured motion, as increments, differs from the response that all episodes share by more than 1 mm or 0.5 "
         f"degrees in a tick, or {DRIFT:g} times as much in sum; in data that is not simulated, also by more than "
         f"{TYPICAL:g} times what is typical; or all actions explain less than {100 * FOLLOWS:.0f} % of the motion, "
-        "lead to the motion of another tick, or have another scale; ticks at a joint's velocity limit aside, and a "
-        f"warning alone where the arm is up to {PUSHED:g} times as far aside for a single tick, as after a contact"
+        "lead to the motion of another tick, or have another scale; ticks at a joint's velocity limit and the next "
+        f"aside, and a warning alone where the arm is up to {PUSHED:g} times as far aside for a single tick, as after "
+        "a contact"
     )
     needs = "the declared meaning of the actions, and the measured pose or joints that they command"
     order = 7
@@ -72,7 +74,7 @@ class Motion(AuditCheck):
         """Keep what is compared."""
         for chain in chains_of(episode):
             seen = _Seen(
-                name=episode.name, chain=chain, simulated=episode.simulated, limited=_limited(episode),
+                name=episode.name, chain=chain, simulated=episode.simulated, limited=_caught_up(_limited(episode)),
                 failed=episode.episode.success is False,
             )  # fmt: skip
             self._seen.setdefault(f"{chain.name} {episode.robot} {episode.rate_or(0):g}", []).append(seen)
@@ -103,6 +105,11 @@ def _limited(episode: AuditEpisode) -> Flags:
     speeds = np.abs(np.diff(episode.proprio["joint_positions"].astype(float), axis=0)) * rate
     fast = (speeds >= AT_LIMIT * arm.velocity).any(axis=1) & (speeds <= BEYOND * arm.velocity).all(axis=1)
     return np.asarray(fast)
+
+
+def _caught_up(limited: Flags) -> Flags:
+    """Return flags of steps, and those of the step after each."""
+    return np.asarray(limited | np.r_[False, limited[:-1]])
 
 
 def _shortened(chain: Chain, weights: Values) -> Flags:
