@@ -179,6 +179,14 @@ class Browser(Page):
         """Open an address."""
         self._call("Page.navigate", url=url)
 
+    def before_pages(self, script: str) -> str:
+        """Run a script in every page that opens, before the page's own; returns what `forget` takes."""
+        return str(self._call("Page.addScriptToEvaluateOnNewDocument", source=script)["identifier"])
+
+    def forget(self, script: str) -> None:
+        """Run a script of `before_pages` no longer."""
+        self._call("Page.removeScriptToEvaluateOnNewDocument", identifier=script)
+
     def resize(self, width: int, height: int, scale: float = 1.0, *, phone: bool = False) -> None:
         """Set the size of the page [px]; a phone's page reports touch instead of a mouse."""
         self._call(

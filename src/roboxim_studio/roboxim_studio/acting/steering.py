@@ -12,6 +12,7 @@ import numpy as np
 from roboxim_core.actions import ActionArray
 from roboxim_core.kinematics import delta_between
 from roboxim_core.poses import Pose
+from roboxim_studio.acting.space_mouse import SpaceMouse
 
 KEYS: Mapping[str, tuple[int, float]] = {
     "KeyW": (0, 1.0), "KeyS": (0, -1.0), "KeyA": (1, 1.0), "KeyD": (1, -1.0), "KeyR": (2, 1.0), "KeyF": (2, -1.0),
@@ -25,6 +26,10 @@ AXES: Mapping[int, tuple[int, float]] = {1: (0, -1.0), 0: (1, -1.0), 3: (2, -1.0
 ROLL_BUTTONS: Mapping[int, float] = {4: -1.0, 5: 1.0}
 GRIPPER_BUTTON, HAND_BUTTON, THROW_BUTTON, KEEP_BUTTON = 0, 3, 8, 9
 SLOW_BUTTON = 6
+ONCE: Mapping[int, str] = {GRIPPER_BUTTON: GRIPPER, HAND_BUTTON: HAND, KEEP_BUTTON: KEEP, THROW_BUTTON: THROW}
+"""Button of a gamepad to the key that does the same, once."""
+SPACE_MOUSE_ONCE: Mapping[int, str] = {0: GRIPPER, 1: KEEP}
+"""The same of a SpaceMouse, whose smallest models have two buttons."""
 DEAD_ZONE = 0.15
 """Deflection of a stick below which it rests."""
 SLOW = 0.25
@@ -56,6 +61,8 @@ class Steering:
     """Deflections of a gamepad's sticks, -1..1."""
     buttons: tuple[float, ...] = ()
     """Pressure on its buttons, 0..1."""
+    space_mouse: SpaceMouse = SpaceMouse()
+    """A SpaceMouse."""
     target: Pose | None = None
     """Pose in the robot's base to which the tool goes while nothing else is held; None: it stays."""
 
@@ -67,12 +74,18 @@ class Steering:
         codes = [code for code in held if isinstance(code, str)][:MOST_HELD] if isinstance(held, list) else []
         pad = pad if isinstance(pad, dict) else {}
         return Steering(
-            held=frozenset(codes), axes=_numbers(pad.get("axes")), buttons=_numbers(pad.get("buttons")), target=target
-        )
+            held=frozenset(codes), axes=_numbers(pad.get("axes")), buttons=_numbers(pad.get("buttons")), target=target,
+            space_mouse=SpaceMouse.of_reports(message.get("hid")),
+        )  # fmt: skip
 
     def pressed(self, button: int) -> bool:
         """Return whether a button of the gamepad is pressed."""
         return button < len(self.buttons) and self.buttons[button] > 0.5
+
+    def once(self) -> frozenset[str]:
+        """Return the keys that pressed buttons stand for."""
+        mouse = {key for button, key in SPACE_MOUSE_ONCE.items() if button in self.space_mouse.buttons}
+        return frozenset(mouse | {key for button, key in ONCE.items() if self.pressed(button)})
 
     @property
     def slow(self) -> bool:
@@ -92,6 +105,8 @@ class Steering:
                 wanted[component] += sign * math.copysign((abs(value) - DEAD_ZONE) / (1 - DEAD_ZONE), value)
         for button, sign in ROLL_BUTTONS.items():
             wanted[3] += sign * self.pressed(button)
+        for component, value in enumerate(self.space_mouse.directions):
+            wanted[component] += value
         return tuple(min(max(value, -1.0), 1.0) for value in wanted)
 
 

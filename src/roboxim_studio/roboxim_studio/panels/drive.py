@@ -17,16 +17,13 @@ from roboxim_recorder.acted import ActedBy
 from roboxim_studio.acting.drive import Drive, continued, next_index
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.acting.partner import Partner
+from roboxim_studio.acting.space_mouse import SpaceMouse
 from roboxim_studio.acting.steering import (
     GRIPPER,
-    GRIPPER_BUTTON,
     HAND,
-    HAND_BUTTON,
     HELP,
     KEEP,
-    KEEP_BUTTON,
     THROW,
-    THROW_BUTTON,
     Speeds,
     Steering,
     action_of,
@@ -48,6 +45,8 @@ SILENT_S = 0.5
 """Time without a word from a page after which its keys count as released [s]."""
 DRAWN, EDITED, OPENED = "the task's next scene", "the edited scene", "the open episode, from its tick"
 NOBODY = "nobody"
+SPACE_MOUSE = "Connect a SpaceMouse"
+"""Label of the button that the page's script obeys (`studio.js`): a browser shows devices only to a click of its own."""
 HAND_HELP = "T: take over, or hand back"
 
 
@@ -82,7 +81,7 @@ class DrivePanel:
         self._target: Pose | None = None
         self._base = Pose()
         self._opening = 1.0
-        self._last_buttons: dict[int, tuple[float, ...]] = {}
+        self._pressed: dict[int, frozenset[str]] = {}
         self._ending = ""
         self._lock = threading.RLock()
         self._gizmo: Any = None
@@ -104,6 +103,7 @@ class DrivePanel:
             buttons = gui.add_button_group("Then", ("End and keep", "Throw away", "Watch it"))
             grip = gui.add_button("Open or close the gripper")
             hand = gui.add_button("Take over, or hand back")
+            gui.add_button(SPACE_MOUSE, hint="By WebHID, which Chromium has; the browser asks which device.")
             self._told = gui.add_html(markup.paragraph(HELP, "drive"))
             self._lamps = gui.add_html("")
             self._pictures = gui.add_folder("Cameras")
@@ -207,17 +207,15 @@ class DrivePanel:
         with self._lock:
             if not message:
                 self._heard.pop(page, None)
-                self._last_buttons.pop(page, None)
+                self._pressed.pop(page, None)
                 return
             if "held" in message:
                 self._heard[page] = (time.monotonic(), message)
-                buttons = Steering.of_message(message).buttons
-                before = self._last_buttons.get(page, ())
-                self._last_buttons[page] = buttons
+                before, now = self._pressed.get(page, frozenset()), Steering.of_message(message).once()
+                self._pressed[page] = now
         if "held" in message:
-            for button, code in BUTTONS.items():
-                if _pressed(buttons, button) and not _pressed(before, button):
-                    self.key(code)
+            for code in now - before:
+                self.key(code)
 
     def key(self, code: str) -> None:
         """Obey a key that acts once."""
@@ -242,8 +240,11 @@ class DrivePanel:
             fresh = [message for stamp, message in self._heard.values() if now - stamp < SILENT_S]
             all_held = [Steering.of_message(message) for message in fresh]
             pad = next((one for one in all_held if one.axes), Steering())
+            mouse = next((one.space_mouse for one in all_held if one.space_mouse.directions), SpaceMouse())
             held = frozenset().union(*(one.held for one in all_held))
-            return Steering(held=held, axes=pad.axes, buttons=pad.buttons, target=self._target)
+            return Steering(
+                held=held, axes=pad.axes, buttons=pad.buttons, space_mouse=mouse, target=self._target
+            )  # fmt: skip
 
     def _place_gizmo(self, pose_tcp: Pose) -> None:
         if self._gizmo is not None:
@@ -361,10 +362,3 @@ class DrivePanel:
     def _tell(self, text: str, *, alert: bool = False) -> None:
         self._told.content = markup.paragraph(text, "drive", alert=alert)
 
-
-BUTTONS = {GRIPPER_BUTTON: GRIPPER, HAND_BUTTON: HAND, KEEP_BUTTON: KEEP, THROW_BUTTON: THROW}
-"""Button of a gamepad to the key that does the same."""
-
-
-def _pressed(buttons: tuple[float, ...], button: int) -> bool:
-    return button < len(buttons) and buttons[button] > 0.5

@@ -26,7 +26,7 @@
     line.style.top = narrow ? "8px" : "";
     const away = !socket || socket.readyState !== WebSocket.OPEN;
     const keys = state.driving && held.size ? `\nheld: ${[...held].map((code) => code.replace(/^Key/, "")).join(" ")}` : "";
-    const text = away ? "The studio does not answer; trying again. Nothing is lost." : [state.alert, narrow && !state.driving ? "" : state.hint].filter(Boolean).join("\n") + keys;
+    const text = away ? "The studio does not answer; trying again. Nothing is lost." : [state.alert, narrow && !state.driving ? "" : state.hint, mouseSays].filter(Boolean).join("\n") + keys;
     line.textContent = text;
     line.style.display = text ? "block" : "none";
     line.style.outline = away || state.alert ? "2px solid #ffb000" : state.driving ? "2px solid #40c057" : "none";
@@ -65,9 +65,66 @@
     return { axes: pad.axes.map((value) => Math.round(value * 1000) / 1000), buttons: pad.buttons.map((one) => Math.round(one.value * 100) / 100) };
   }
 
+  // A SpaceMouse by WebHID: its newest report of each number, as bytes; the studio reads them (space_mouse.py).
+  const reports = {};
+  let mouse = null;
+  let mouseSays = "";
+  const MICE = [0x256f, 0x046d].map((vendorId) => ({ vendorId, usagePage: 1, usage: 8 }));  // multi-axis controllers
+
+  async function listen(device) {
+    if (!device || device === mouse) return;
+    try {
+      if (!device.opened) await device.open();
+      mouse = device;
+      mouseSays = `SpaceMouse: ${device.productName}`;
+      device.addEventListener("inputreport", (event) => {
+        if (document.hidden) return;
+        reports[event.reportId] = [...new Uint8Array(event.data.buffer, event.data.byteOffset, event.data.byteLength)];
+      });
+    } catch (error) {
+      mouseSays = `The SpaceMouse cannot be opened (${error.message}). On Linux a udev rule must let you read it; see docs/how-to/studio.md.`;
+    }
+    show();
+  }
+
+  async function askForMouse() {
+    if (!navigator.hid) {
+      mouseSays = "This browser has no WebHID: use Chromium, Chrome or Edge at 127.0.0.1 or localhost.";
+    } else {
+      try {
+        const [device] = await navigator.hid.requestDevice({ filters: MICE });
+        mouseSays = device ? "" : "no SpaceMouse was chosen";
+        await listen(device);
+      } catch (error) { mouseSays = `WebHID: ${error.message}`; }
+    }
+    show();
+  }
+
+  function leaveMouse() {
+    for (const number of Object.keys(reports)) delete reports[number];
+  }
+
+  document.addEventListener("click", (event) => {
+    const button = event.target instanceof Element && event.target.closest("button");
+    if (button && button.innerText.trim() === "Connect a SpaceMouse") askForMouse();
+  }, true);
+  if (navigator.hid) {
+    const known = (device) => MICE.some((one) => one.vendorId === device.vendorId);
+    navigator.hid.getDevices().then((devices) => listen(devices.find(known)), () => {});  // chosen before
+    navigator.hid.addEventListener("connect", (event) => { if (known(event.device)) listen(event.device); });
+    navigator.hid.addEventListener("disconnect", (event) => {
+      if (event.device !== mouse) return;
+      mouse = null;
+      mouseSays = "the SpaceMouse is gone";
+      leaveMouse();
+      show();
+    });
+  }
+
   function report() {
     const pad = state.driving ? gamepad() : null;
     const message = { held: [...held].sort(), pad };
+    if (state.driving && mouse) message.hid = reports;
     const text = JSON.stringify(message);
     if (text === lastSent && !state.driving) return;
     lastSent = text;
@@ -91,7 +148,7 @@
 
   window.addEventListener("resize", show);
   window.addEventListener("blur", release);
-  document.addEventListener("visibilitychange", () => { if (document.hidden) release(); });
+  document.addEventListener("visibilitychange", () => { if (document.hidden) { leaveMouse(); release(); } });
   setInterval(() => { if (state.driving) report(); }, 50);
 
   document.title = "RoboXim studio";
