@@ -222,7 +222,7 @@ class Studio:
         first = self.drive.folder if mode == DRIVE else self.editor.folder
         self.compose.folder.order = first.order + (0.5 if mode == DRIVE else -0.5)
         self.dataset.folder.visible = mode == EPISODE and self.dataset.dataset is not None
-        self.files.folder.visible = mode == EPISODE and bool(self.files.entries)
+        self.files.folder.visible = mode == EPISODE and self.files.run is not None
         watching = mode == EPISODE and self.episode.film is not None
         self.episode.folder.visible = self.what_if.folder.visible = watching
         if self.live is not None:

@@ -80,9 +80,17 @@ def _folder(path: Path) -> Opened:
         return Opened(kind=Kind.BAG, path=path)
     reports = [path.parent] if list(path.glob("*.html")) else []  # a report may be a folder of its run
     for folder in (path, *reports):
-        if bags := bags_of(folder):
+        bags = bags_of(folder)
+        if bags or _is_run(folder):
             return Opened(kind=Kind.RUN, path=folder, bags=bags)
     return _dataset(path)
+
+
+def _is_run(folder: Path) -> bool:
+    """Return whether a folder is a run's, or an evaluation's; it may not have finished an episode yet."""
+    from roboxim_runs.storage.folder import RUN_FILE, folders_with
+
+    return any(folders_with(RUN_FILE, folder, 1))
 
 
 def _dataset(path: Path) -> Opened:

@@ -24,6 +24,7 @@ from roboxim_studio.episode.listing import Entry, list_entries
 from roboxim_studio.episode.statistics import Traits, traits
 from roboxim_studio.opening import bags_of
 from roboxim_studio.panels import markup
+from roboxim_studio.panels.progress import Progress
 from roboxim_studio.serving.site import Site
 
 ANY = "any"
@@ -66,6 +67,8 @@ class FilesPanel:
         """Episode to what the selection changes of it."""
         self.run: Path | None = None
         """The folder."""
+        self.progress: Progress | None = None
+        """What goes on in it."""
         self._lock = threading.RLock()
         self._fresh: list[Any] = []
         self._known: tuple[Path, ...] = ()
@@ -99,7 +102,9 @@ class FilesPanel:
 
     def _build(self) -> None:
         gui = self._gui
+        assert self.run is not None
         self._facts = gui.add_html("")
+        self.progress = Progress(gui, self.run)
         self._skill: Any = gui.add_dropdown("Skill", (ANY,), initial_value=ANY)
         self._ending: Any = gui.add_dropdown("Outcome", (ANY,), initial_value=ANY)
         self._words = gui.add_text("Instruction has", initial_value="")
@@ -131,7 +136,7 @@ class FilesPanel:
         save.on_click(lambda _: self._save())
         measure.on_click(lambda _: self._measure())
         self._fresh = [
-            self._facts, self._skill, self._ending, self._words, self._choice, acts, marks, self._told, more,
+            self._facts, self.progress, self._skill, self._ending, self._words, self._choice, acts, marks, self._told, more,
         ]  # fmt: skip
         self._list()
 
@@ -189,12 +194,14 @@ class FilesPanel:
         return rows
 
     def _follow(self) -> None:
-        """Add the episodes that a running run finishes."""
+        """Show how a running run goes on, while a page looks; add the episodes that it finishes."""
         while not self._closed.wait(WATCH_S):
             with self._lock:
                 run, known = self.run, self._known
                 if run is None:
                     continue
+                if self.progress is not None and self._site.pages and self.folder.visible:
+                    self.progress.follow()
                 bags = bags_of(run)
                 if bags == known:
                     continue

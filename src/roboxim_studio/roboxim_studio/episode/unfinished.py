@@ -1,0 +1,112 @@
+"""The newest pictures of an episode that is still being recorded, read from its bag as it grows.
+
+A bag is written in chunks of a few ticks, each whole by itself, so a reader needs no index and disturbs nobody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from mcap.records import Channel, Message, Schema
+
+from roboxim_core.errors import RoboximError
+from roboxim_recorder.bag import damage
+from roboxim_recorder.bag_writer import PARTIAL
+from roboxim_recorder.decoding import Decoder
+from roboxim_recorder.integrity.salvage import SalvagedChunk, salvage
+from roboxim_recorder.topics import IMAGE, STATE, image_topic
+from roboxim_ros.messages.conversions import image_from_msg
+from roboxim_ros.messages.schemas import MessageSchema
+
+Picture = npt.NDArray[np.uint8]
+MOST_BYTES = 1 << 26
+"""Bytes that are read at once; an episode that grew by more shows its newest pictures at the next look."""
+_BEFORE, _AFTER = image_topic("|").split("|")
+
+
+class Unfinished:
+    """One episode that is being recorded."""
+
+    def __init__(self, bag: Path) -> None:
+        """Follow a bag.
+
+        Args:
+            bag: Its folder, in the run's folder of unfinished bags.
+        """
+        self.name = bag.name
+        """Id of the episode."""
+        self.ticks = 0
+        """Number of its ticks that have been written."""
+        self._bag, self._at = bag, 0
+        self._schemas: dict[int, MessageSchema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._newest: dict[str, bytes] = {}
+
+    def read(self) -> None:
+        """Read what was written since the last time; a bag that has been finished or moved meanwhile adds nothing."""
+        file = next(iter(self._bag.glob("*.mcap")), None)
+        if file is None:
+            return
+        try:
+            with open(file, "rb") as stream:
+                stream.seek(self._at)
+                data = stream.read(MOST_BYTES)
+        except OSError:
+            return
+        read = 0
+        for part in salvage(data):
+            if isinstance(part, SalvagedChunk):
+                read = part.end
+                for record in part.records:
+                    self._take(record)
+        self._at += read
+
+    def _take(self, record: Schema | Channel | Message) -> None:
+        if isinstance(record, Schema):
+            self._schemas[record.id] = MessageSchema(name=record.name, text=record.data.decode())
+        elif isinstance(record, Channel):
+            self._channels[record.id] = record
+        elif (channel := self._channels.get(record.channel_id)) is not None:
+            self.ticks += channel.topic == STATE
+            if self._schemas[channel.schema_id].name == IMAGE:
+                self._newest[channel.topic] = record.data
+
+    def pictures(self) -> Mapping[str, Picture]:
+        """Return the newest picture of each camera, uint8, shape (height, width, 3); none before the first chunk.
+
+        Raises:
+            RecorderError: When a picture cannot be decoded.
+        """
+        names = {topic: topic.removeprefix(_BEFORE).removesuffix(_AFTER) for topic in self._newest}
+        names = {topic: name for topic, name in names.items() if topic == image_topic(name)}  # no depth
+        schemas = {channel.topic: self._schemas[channel.schema_id] for channel in self._channels.values()}
+        decoder = Decoder({topic: schemas[topic] for topic in names})
+        with damage(self._bag):
+            return {name: image_from_msg(decoder.decode(topic, self._newest[topic])) for topic, name in names.items()}
+
+
+class Growing:
+    """The episodes that are being recorded in some runs."""
+
+    def __init__(self) -> None:
+        """Follow nothing yet."""
+        self._known: dict[Path, Unfinished] = {}
+
+    def look(self, runs: list[Path]) -> tuple[Unfinished, ...]:
+        """Return the episodes that are being recorded now, with what is written of them, by name."""
+        there = [bag for run in runs for bag in sorted((run / PARTIAL).glob("*")) if bag.is_dir()]
+        self._known = {bag: self._known.get(bag) or Unfinished(bag) for bag in there}
+        for episode in self._known.values():
+            episode.read()
+        return tuple(self._known.values())
+
+
+def newest_picture(episode: Unfinished) -> Picture | None:
+    """Return the newest picture of an episode's first camera; None: there is none, or it cannot be read."""
+    try:
+        return next(iter(episode.pictures().values()), None)
+    except RoboximError:
+        return None
