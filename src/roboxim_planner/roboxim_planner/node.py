@@ -33,6 +33,7 @@ from roboxim_interfaces.srv import (
     RetimePath,
 )
 from roboxim_interfaces.srv import PlanSequence as PlanSequenceSrv
+from trajectory_msgs.msg import JointTrajectory
 
 from roboxim_core import limits
 from roboxim_core.errors import (
@@ -70,6 +71,8 @@ R = TypeVar("R")
 FEEDBACK_PERIOD_S = 0.1
 BUSY_S = 120.0
 """Longest wait of a service for the request before it, e.g. an action with a long time-out [s]."""
+SHOWN_S = 0.05
+"""Approximate time between the points of ``planner/last_path`` [s]."""
 LATEST = "latest"
 """Episode id that stands for the newest state of the sim; for interactive use, since it is not reproducible."""
 
@@ -113,6 +116,7 @@ class PlannerNode(RoboximNode):
         self._taken: LocalTick | None = None
         if not local_ticks.announced(context, self._notices):
             self.hear(StateRecordMsg, "sim/state", self._on_state, qos.LATCHED, callback_group=self._states)
+        self._last_path = self.create_publisher(JointTrajectory, "planner/last_path", qos.LATCHED)
         requests = MutuallyExclusiveCallbackGroup()
         for kind, name, handler in (
             (PlanToPose, "plan_to_pose", self._planning("plan_to_pose")),
@@ -253,6 +257,14 @@ class PlannerNode(RoboximNode):
             queries.fill_answer(response, Answer(plans=(error.partial,), goal_indices=(-1,)), common, begun)
             raise
         queries.fill_answer(response, answer, common, begun)
+        if answer.plans:
+            self._show(planner, np.concatenate([plan.sample(SHOWN_S).positions for plan in answer.plans]), SHOWN_S)
+
+    def _show(self, planner: Planner, path: Array, period_s: float) -> None:
+        """Publish the joint path of the newest motion, shape (N, dof) [rad], for viewers."""
+        step = max(1, round(SHOWN_S / period_s))
+        rows = np.concatenate([path[:-1:step], path[-1:]])
+        self._last_path.publish(convert.path_to_msg(rows, step * period_s, planner.robot.description))
 
     def _watch(self, timeout_s: float, progress: Callable[[str, int], None] = lambda *_: None) -> Watch:
         """Return a watch that ends a request after a time.
@@ -375,6 +387,8 @@ class PlannerNode(RoboximNode):
         planner = self._planner(around.scene.robot.model)
         times, options = np.arange(len(path)) * period_s, MotionOptions(padding_m=around.padding_m)
         finding = planner.check_trajectory(self._scenes.scene(around), path, times, options=options, watch=watch)
+        if finding.valid:
+            self._show(planner, path, period_s)
         return "" if finding.valid else str(finding)
 
     def _execute_motion(self, goal: ServerGoalHandle) -> PlanMotion.Result:

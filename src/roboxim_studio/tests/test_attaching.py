@@ -3,8 +3,8 @@
 import os
 
 import pytest
-from roboxim_interfaces.srv import LoadScene, ReleaseEpisode, Tick
-from simulation_interfaces.srv import GetEntities, GetEntityState
+from roboxim_interfaces.srv import LoadScene, PlanToJoints, ReleaseEpisode, Tick
+from simulation_interfaces.srv import GetEntities, GetEntityState, ResetSimulation
 
 from roboxim_bringup.testing import graph  # noqa: F401
 from roboxim_core.errors import ConfigError, RoboximError
@@ -76,6 +76,20 @@ def test_a_running_graph_is_shown_and_edited_through_its_services_and_outlives_t
     live.select("cube")
     live.delete().result(timeout=60)
     wait_for(lambda: "cube" not in live._choice.options, "the deletion")
+
+    assert live.seen.path == ()
+    request = PlanToJoints.Request(named_state="ready")
+    request.request.start_state.position = [0.3, *live.seen.state.robot.joint_positions[1:7]]
+    answer = clients.call(PlanToJoints, "planner/plan_to_joints", request)
+    assert answer.error_code == 0, answer.error_msg
+    wait_for(lambda: live.seen.path, "the planner's path")
+    end = answer.plan.trajectory.points[-1].positions.tolist()
+    assert live.seen.path[-1] == pytest.approx(end, abs=1e-6)
+    wait_for(lambda: len(live.ghost.path) == len(live.seen.path), "the path in the view")
+    live.sees.value = True
+    clients.call(ResetSimulation, "sim/reset_simulation", ResetSimulation.Request(scope=255))
+    wait_for(lambda: live.ghost.bodies, "what the planner sees")
+    assert set(live.ghost.bodies) == {"table", *(entity.name for entity in live.seen.scene.entities)}
 
     scene = to_msg(seen.scene, LoadScene.Request().scene.__class__)
     watched = episode(clients, scene, "watched")

@@ -74,6 +74,23 @@ def test_an_invalid_pose_names_its_constraint_where_it_is(editor):
     assert not editor._labels
 
 
+def test_the_ghost_shows_what_the_planner_sees_in_step_with_the_edits(editor):
+    ways = []
+    editor.desk.on_plan.append(ways.append)
+    assert editor.desk.refresh().result(timeout=120).valid
+    (way,) = ways
+    assert editor.ghost.path == pytest.approx(way)
+    assert editor.ghost.bodies == ()
+    editor._sees.value = True
+    editor.edit(lambda d: edits.added(d, "mug", LIBRARY, (0.42, 0.2)))
+    assert set(editor.ghost.bodies) == {"table", *(entity.name for entity in editor.desk.scene.entities)}
+    editor.edit(lambda d: edits.moved(d, "distractor_1", Pose(position=(0.35, -0.28, 0.0475))))
+    assert editor.ghost._bodies["distractor_1"][1].position == pytest.approx((0.35, -0.28, 0.0475))
+    editor.hide()
+    assert editor.ghost.bodies == ()
+    assert len(editor.ghost.path) == 0
+
+
 def test_undo_and_redo_walk_through_every_edit(document):
     history = edits.History(document)
     versions = [document]

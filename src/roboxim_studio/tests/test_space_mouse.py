@@ -64,7 +64,11 @@ class Device extends EventTarget {
 window.hidAsked = [];
 const hid = new EventTarget();
 hid.getDevices = async () => [];
-hid.requestDevice = async (options) => { window.hidAsked.push(options); window.hidDevice = new Device(); return [window.hidDevice]; };
+hid.requestDevice = async (options) => {
+  window.hidAsked.push(options);
+  window.hidDevice = new Device();
+  return [window.hidDevice];
+};
 Object.defineProperty(navigator, "hid", { value: hid });
 """
 

@@ -171,6 +171,23 @@ def sample_period(msg: Any) -> float:
     return period
 
 
+def path_to_msg(path: Array, period_s: float, robot: RobotModel) -> JointTrajectory:
+    """Convert a joint path to a message without velocities.
+
+    Args:
+        path: Shape (N, dof) [rad].
+        period_s: Time from one row to the next [s].
+        robot: The robot, which names the joints.
+    """
+    msg = JointTrajectory(joint_names=list(robot.joint_names))
+    msg.header.frame_id = WORLD
+    for number, row in enumerate(path.tolist()):
+        seconds, nanoseconds = divmod(round(number * period_s * 1e9), 1_000_000_000)
+        after = Duration(sec=seconds, nanosec=nanoseconds)
+        msg.points.append(JointTrajectoryPoint(positions=row, time_from_start=after))
+    return msg
+
+
 def plan_to_msg(plan: Plan, robot: PlannerRobot, scene: PlanningScene, period_s: float, tcp_poses: bool) -> Any:
     """Return a ``MotionPlan`` message.
 

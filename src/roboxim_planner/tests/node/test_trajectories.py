@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from planner_graph import HOME, Graph, obstacle, to_pose, trajectory
 from roboxim_interfaces.srv import CheckTrajectory, PlanToPose, RetimePath
+from trajectory_msgs.msg import JointTrajectory
 
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
+from roboxim_ros import qos
 from roboxim_ros.messages.conversions import fill_pose
+from roboxim_ros.testing import eventually
 
 pytestmark = pytest.mark.ros
 
@@ -46,3 +49,17 @@ def test_retime_keeps_the_limits_and_the_path(graph: Graph) -> None:
     request.request.scene.objects = [obstacle()]
     fill_pose(request.request.scene.objects[0].pose, Pose(position=(0.45, 0.3, 0.3)))
     assert "overlap" in str(graph.refused(RetimePath, "retime_path", request))
+
+
+def test_the_newest_path_is_published_for_viewers_that_come_later(graph: Graph) -> None:
+    plan = graph.call(PlanToPose, "plan_to_pose", to_pose(y=-0.3)).plan
+    end = plan.trajectory.points[-1]
+    found: list[JointTrajectory] = []
+    graph.clients.node.create_subscription(JointTrajectory, "planner/last_path", found.append, qos.LATCHED)
+    graph.clients.wake()
+    path = eventually(lambda: found and found[-1], "the path")
+    assert list(path.joint_names) == list(plan.trajectory.joint_names)
+    assert path.points[-1].positions.tolist() == pytest.approx(end.positions.tolist(), abs=1e-6)
+    starts = [point.time_from_start.sec + point.time_from_start.nanosec / 1e9 for point in path.points]
+    assert starts == sorted(starts)
+    assert starts[1] == pytest.approx(0.05)

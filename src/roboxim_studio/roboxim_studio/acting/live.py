@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from roboxim_ros.runs import Run
 
 Picture = npt.NDArray[np.uint8]
+LAST_PATH = "planner/last_path"
 CALL_S = 120.0
 """Longest wait for an answer; drawing a scene can take long on a busy machine [s]."""
 
@@ -77,6 +78,8 @@ class Seen:
     """A state of it."""
     images: dict[str, Picture] = field(default_factory=dict)
     """Camera to picture, uint8, shape (height, width, 3); cameras that have published none are left out."""
+    path: tuple[tuple[float, ...], ...] = ()
+    """The planner's newest joint path of this robot [rad]; empty: it has planned none."""
 
 
 class LiveGraph:
@@ -103,6 +106,7 @@ class LiveGraph:
         self._raw: dict[str, bytes] = {}
         self._subscriptions: dict[str, Any] = {}
         self._scene: tuple[bytes, SceneSpec, str] | None = None
+        self._path: tuple[bytes, tuple[str, ...], tuple[tuple[float, ...], ...]] | None = None
         try:
             topic = self._peer.look_for(self._find_scene, lambda: f"the run '{run.id}' has no sim to look at")
         except RoboximError:
@@ -131,12 +135,14 @@ class LiveGraph:
     # ---------------------------------------------------------------- looking
 
     def listen(self) -> None:
-        """Subscribe to scene and state; cameras follow with the scene."""
+        """Subscribe to scene, state and planned path; cameras follow with the scene."""
         from roboxim_interfaces.msg import SceneSpec as SceneSpecMsg
         from roboxim_interfaces.msg import StateRecord as StateRecordMsg
+        from trajectory_msgs.msg import JointTrajectory
 
         self._subscribe("sim/scene", SceneSpecMsg)
         self._subscribe("sim/state", StateRecordMsg)
+        self._subscribe(LAST_PATH, JointTrajectory)
 
     def rest(self) -> None:
         """Subscribe to nothing: a graph that nobody looks at sends the studio nothing."""
@@ -165,7 +171,21 @@ class LiveGraph:
         for camera in scene[1].cameras:
             if (data := raw.get(f"camera/{camera.name}/image")) is not None:
                 images[camera.name] = image_from_msg(deserialize_message(data, Image))
-        return Seen(scene=scene[1], state=state, images=images)
+        return Seen(scene=scene[1], state=state, images=images, path=self._planned(raw.get(LAST_PATH), state))
+
+    def _planned(self, data: bytes | None, state: StateRecord) -> tuple[tuple[float, ...], ...]:
+        """Return the planner's newest path, decoded once; one of another robot is none."""
+        from rclpy.serialization import deserialize_message
+        from trajectory_msgs.msg import JointTrajectory
+
+        if data is None:
+            return ()
+        if self._path is None or self._path[0] is not data:
+            msg = deserialize_message(data, JointTrajectory)
+            rows = tuple(tuple(map(float, point.positions)) for point in msg.points)
+            self._path = data, tuple(msg.joint_names), rows
+        _, names, rows = self._path
+        return rows if names == state.robot.joint_names[: len(names)] else ()
 
     def _newest_scene(self, data: bytes | None) -> tuple[bytes, SceneSpec, str] | None:
         """Return the scene with its hash, decoded once, and subscribe to its cameras."""
@@ -181,7 +201,7 @@ class LiveGraph:
             scene = from_msg(deserialize_message(data, SceneSpecMsg), SceneSpec)
             self._scene = (data, scene, digest(scene))
             cameras = [f"camera/{camera.name}/image" for camera in scene.cameras]
-            self._keep(("sim/scene", "sim/state", *cameras))
+            self._keep(("sim/scene", "sim/state", LAST_PATH, *cameras))
             for topic in cameras:
                 self._subscribe(topic, Image)
             return self._scene
@@ -197,7 +217,7 @@ class LiveGraph:
 
         with self._lock:
             if topic not in self._subscriptions:
-                profile = qos.LATCHED if topic == "sim/scene" else qos.STATE
+                profile = qos.LATCHED if topic in ("sim/scene", LAST_PATH) else qos.STATE
                 self._subscriptions[topic] = self._peer.node.create_subscription(
                     kind, f"{self._prefix}{topic}", take, profile, raw=True
                 )

@@ -46,7 +46,7 @@ SILENT_S = 0.5
 DRAWN, EDITED, OPENED = "the task's next scene", "the edited scene", "the open episode, from its tick"
 NOBODY = "nobody"
 SPACE_MOUSE = "Connect a SpaceMouse"
-"""Label of the button that the page's script obeys (`studio.js`): a browser shows devices only to a click of its own."""
+"""Label of a button that the page's script obeys (`studio.js`): a browser shows its devices only at a click."""
 HAND_HELP = "T: take over, or hand back"
 
 
@@ -361,4 +361,3 @@ class DrivePanel:
 
     def _tell(self, text: str, *, alert: bool = False) -> None:
         self._told.content = markup.paragraph(text, "drive", alert=alert)
-

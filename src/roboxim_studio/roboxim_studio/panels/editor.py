@@ -19,6 +19,7 @@ from roboxim_studio.acting.lab import Lab
 from roboxim_studio.bench import Bench
 from roboxim_studio.editing import document as edits
 from roboxim_studio.editing.desk import Desk
+from roboxim_studio.look.ghost import Ghost
 from roboxim_studio.look.scene_view import SceneView, wxyz
 from roboxim_studio.panels import markup
 from roboxim_studio.panels.editor_forms import CamerasForm, ObjectForm, RolesForm, RoomForm
@@ -29,6 +30,7 @@ HINT = "Click an object to select it; drag its arrows and its ring"
 NOTHING = "nothing"
 CAMERA = "camera "
 HAND = "start of the hand"
+NO_PATH = np.empty((0, 3))
 
 
 class EditorPanel:
@@ -54,7 +56,8 @@ class EditorPanel:
         self.selected = NOTHING
         """The entity, ``camera <name>`` or ``start of the hand`` that the gizmo moves."""
         self._gizmo: Any = None
-        self._plan: Any = None
+        self.ghost = Ghost(site.viser, library, "/edit/planner")
+        """What the planner sees, and the way of the tool in the expert's plan."""
         self._labels: list[Any] = []
         self._fresh: list[Any] = []
         self._lock = threading.RLock()
@@ -91,7 +94,7 @@ class EditorPanel:
     def hide(self) -> None:
         """Leave the view to another panel; the document stays."""
         self.active = False
-        self._forget_plan()
+        self.ghost.clear()
         self.select(NOTHING)
         for label in self._labels:
             label.remove()
@@ -121,6 +124,9 @@ class EditorPanel:
         self._cameras = CamerasForm(gui, self)
         self._room = RoomForm(gui, self)
         shown += [form.folder for form in (self._object, self._roles, self._cameras, self._room)]
+        self._sees: Any = gui.add_checkbox("What the planner sees", initial_value=False, hint="Its collision shapes.")
+        self._sees.on_update(lambda _: self._show_ghost())
+        shown.append(self._sees)
         self._name = gui.add_text("Save as", initial_value="my_scene", hint=f"Into {self._folder.name}, as YAML")
         save = gui.add_button("Save")
         save.on_click(lambda _: self._save())
@@ -266,11 +272,12 @@ class EditorPanel:
         with self._lock:
             if self.desk is None:
                 return
-            self._forget_plan()
+            self.ghost.show_path(NO_PATH)
             if self.active:
                 try:
                     self._view.load(self.desk.scene)
                     self._view.show(self.desk.state())
+                    self._show_ghost()
                 except RoboximError as error:
                     self._site.tell(alert=str(error))
                     return
@@ -317,17 +324,14 @@ class EditorPanel:
     def _planned(self, path: npt.NDArray[np.float64]) -> None:
         """Show the way of the tool in the expert's plan."""
         with self._lock:
-            self._forget_plan()
-            if self.active and len(path) > 1:
-                self._plan = self._site.viser.scene.add_line_segments(
-                    "/edit/plan", np.stack([path[:-1], path[1:]], axis=1).astype(np.float32), colors=(250, 176, 5),
-                    thickness=2.5, thickness_units="screen",
-                )  # fmt: skip
+            self.ghost.show_path(path if self.active else NO_PATH)
 
-    def _forget_plan(self) -> None:
-        if self._plan is not None:
-            self._plan.remove()
-            self._plan = None
+    def _show_ghost(self) -> None:
+        """Show the planner's shapes, if that is wanted."""
+        if self.desk is None or not self.active or not self._sees.value:
+            self.ghost.hide_scene()
+        else:
+            self.ghost.show_scene(self.desk.scene, self.desk.state())
 
     def _pictures(self, images: Mapping[str, npt.NDArray[np.uint8]]) -> None:
         with self._lock:

@@ -136,7 +136,8 @@ class FilesPanel:
         save.on_click(lambda _: self._save())
         measure.on_click(lambda _: self._measure())
         self._fresh = [
-            self._facts, self.progress, self._skill, self._ending, self._words, self._choice, acts, marks, self._told, more,
+            self._facts, self.progress, self._skill, self._ending, self._words, self._choice, acts, marks, self._told,
+            more,
         ]  # fmt: skip
         self._list()
 

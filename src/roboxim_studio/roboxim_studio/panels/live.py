@@ -8,12 +8,14 @@ from typing import Any
 
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import RoboximError
+from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.seeds import PURPOSES, SeedPath
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_studio.acting.live import LiveGraph, Seen
 from roboxim_studio.bench import Bench
+from roboxim_studio.look.ghost import Ghost
 from roboxim_studio.look.scene_view import SceneView, wxyz
 from roboxim_studio.panels import markup
 from roboxim_studio.panels.editor import NOTHING, EditorPanel, pose_of
@@ -24,6 +26,8 @@ PERIOD_S = 0.05
 """Shortest time between two states that are drawn [s]."""
 LOOK_S, IDLE_S = 1.0, 0.2
 """Longest time between two looks at whether the graph lives, and at whether a page looks [s]."""
+GHOST = "What the planner sees"
+GHOST_HINT = "Its collision shapes, and the arm at the end of the newest path; the path itself is the yellow line."
 HINT = "Click an object, then drag it; between the graph's episodes only"
 
 
@@ -49,6 +53,10 @@ class LivePanel:
         """What is shown."""
         self.selected = NOTHING
         """The object that the gizmo moves."""
+        self.ghost = Ghost(site.viser, library, "/live/planner")
+        """What the graph's planner sees, and its newest path."""
+        self._arms: dict[str, ArmKinematics] = {}
+        self._ghost_of: tuple[object, ...] = ()
         self._calls = Bench()  # a slow service must not delay what is drawn
         self._lock = threading.RLock()
         self._active = threading.Event()
@@ -73,6 +81,8 @@ class LivePanel:
                 self._seed = gui.add_number("Seed", initial_value=0, min=0, step=1)
                 self._index = gui.add_number("Index", initial_value=0, min=0, step=1)
                 draw = gui.add_button("Draw and load")
+            self.sees: Any = gui.add_checkbox(GHOST, initial_value=False, hint=GHOST_HINT)
+            """Whether the planner's shapes are shown."""
             self._pictures = gui.add_folder("Cameras")
         self._choice.on_update(by_person(lambda name: self.select(str(name))))
         self._place.on_update(by_person(lambda place: self._typed(tuple(map(float, place)))))
@@ -103,6 +113,8 @@ class LivePanel:
         self._active.clear()
         with self._lock:
             self._remove_gizmo()
+            self.ghost.clear()
+            self._ghost_of = ()
 
     def _follow(self) -> None:
         """Draw what has come, at most once a period, while a page looks."""
@@ -139,6 +151,7 @@ class LivePanel:
                 self._list(seen)
             self._view.show(seen.state, seen.images)
             self._follow_selected(seen)
+            self._show_ghost(seen)
         self._facts.content = markup.facts(self._rows(seen), "live-facts")
         for name, image in seen.images.items():
             if name in self._images:
@@ -146,6 +159,24 @@ class LivePanel:
             else:
                 with self._pictures:
                     self._images[name] = self._gui.add_image(image, label=name, jpeg_quality=85)
+
+    def _show_ghost(self, seen: Seen) -> None:
+        """Show the newest path and, if wanted, what the planner sees; only what has changed is sent again."""
+        scene, wanted = seen.scene, bool(self.sees.value)
+        if wanted:
+            self.ghost.show_scene(scene, seen.state)
+        now = (seen.path, scene.robot, wanted)
+        if now == self._ghost_of:
+            return
+        self._ghost_of, model = now, scene.robot.model
+        if not wanted:
+            self.ghost.hide_scene()
+        if model not in self._arms:
+            self._arms[model] = ArmKinematics(self._library.robot(model))
+        self.ghost.show_joint_path(scene, self._arms[model], seen.path)
+        if wanted and seen.path:
+            opening = min(1.0, max(0.0, seen.state.robot.gripper_opening))
+            self.ghost.show_arm(scene.robot.pose, model, seen.path[-1], opening)
 
     def _rows(self, seen: Seen) -> list[tuple[str, object]]:
         state, others = seen.state, self.graph.others
