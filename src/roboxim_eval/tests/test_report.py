@@ -198,6 +198,7 @@ def test_each_number_leads_to_its_episodes_and_each_episode_to_its_bag(tmp_path)
     assert [row[8] for row in data["rows"]] == [f"bc/episodes/{i}" for i in range(5)]
     assert data["texts"][data["rows"][0][11][1]] == "dim"
     assert "roboxim replay" in page
+    assert "roboxim studio" in page
 
 
 def test_a_text_of_an_episode_cannot_end_the_script():

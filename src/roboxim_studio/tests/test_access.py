@@ -1,4 +1,7 @@
 import json
+import os
+import subprocess
+import sys
 from http.client import HTTPConnection
 
 import pytest
@@ -86,6 +89,20 @@ def test_sockets_need_the_token_and_the_own_origin(site, heard):
         assert json.loads(socket.recv()) == {"hint": "done"}
         assert site.pages == 1
     assert (1, {"key": "Space"}) in heard
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs the superuser, to act as another user")
+def test_another_user_of_the_machine_is_refused_even_with_the_token(site):
+    ask = (
+        "import encodings.idna, os, socket, sys; port, path, user = sys.argv[1:]\n"
+        "os.setuid(int(user)); there = socket.create_connection(('127.0.0.1', int(port)), timeout=30)\n"
+        "there.sendall(f'GET {path} HTTP/1.1\\r\\nHost: 127.0.0.1:{port}\\r\\n\\r\\n'.encode())\n"
+        "print(there.recv(64).split()[1].decode())"
+    )
+    for user, status in ((65534, "403"), (os.geteuid(), "200")):
+        python = [sys.executable, "-I", "-c", ask, str(site.port), f"/{token(site)}/", str(user)]
+        answer = subprocess.run(python, capture_output=True, text=True, timeout=60, check=True).stdout
+        assert answer.strip() == status, user
 
 
 def test_no_client_can_open_a_public_tunnel(site):

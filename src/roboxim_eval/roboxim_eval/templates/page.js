@@ -120,9 +120,10 @@
     const links = made("p");
     if (episode.page) links.append(linked("why: film, actions, conditions", episode.page), " ");
     if (episode.film) links.append(linked("its film", "#film-" + episode.number));
+    if (episode.bag) links.append(" ", linked("its bag", episode.bag + "/"));
     if (links.children.length) body.append(links);
     if (episode.bag) {
-      body.append(made("pre", "roboxim show " + episode.bag + "   # why it ended so; from the folder of this page\nroboxim up                       # in one terminal\nroboxim replay " + episode.bag + "   # in another: executes it again"));
+      body.append(made("pre", "roboxim show " + episode.bag + "   # why it ended so; from the folder of this page\nroboxim studio " + episode.bag + "   # in 3D, tick by tick, what if\nroboxim up                       # in one terminal\nroboxim replay " + episode.bag + "   # in another: executes it again"));
     } else body.append(made("p", "No bag of this episode was recorded.", "soft"));
     return body;
   };

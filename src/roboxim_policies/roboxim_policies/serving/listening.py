@@ -9,25 +9,22 @@ kernel which user has the other end of a connection, and refuses other users.
 
 from __future__ import annotations
 
-import errno
 import ipaddress
 import logging
 import os
 import socket
-import struct
 import threading
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
 from roboxim_policies.wires.websocket import OTHERS
+from roboxim_ros.peer_user import user_of_peer
 
 MOST_CONNECTIONS = 320
 """Largest number of open connections of a server: more than its sessions, of which a shared policy has 256."""
 MOST_REFUSED, REFUSING_S, RECEIVED_BYTES = 8, 2.0, 65536
 """Clients that are told at once why they are refused, the time for each of its two messages, and their size."""
-NETLINK_SOCK_DIAG, SOCK_DIAG_BY_FAMILY, NLM_F_REQUEST, ANY = 4, 20, 1, 0xFFFFFFFF
-"""Linux's numbers for a question about one connection."""
 REFUSAL = b"HTTP/1.1 403 Forbidden\r\nContent-Length: %d\r\nConnection: close\r\n\r\n%b" % (len(OTHERS), OTHERS)
 
 
@@ -149,30 +146,3 @@ def _known_user(connection: socket.socket) -> int | None:
         return user_of_peer(connection)
     except OSError:  # e.g. no more file descriptors
         return None
-
-
-def user_of_peer(connection: socket.socket) -> int | None:
-    """Return the id of the user who has the other end of a connection within this machine; None: it has gone.
-
-    Source: Linux, sock_diag(7) and include/uapi/linux/inet_diag.h.
-
-    Raises:
-        OSError: When the kernel cannot tell.
-    """
-    try:
-        (there, from_port, *_), (here, to_port, *_) = connection.getpeername(), connection.getsockname()
-    except OSError:
-        return None
-    there, here = (socket.inet_pton(connection.family, host).ljust(16, b"\0") for host in (there, here))
-    ends = struct.pack("!HH16s16s", from_port, to_port, there, here) + struct.pack("=III", 0, ANY, ANY)
-    request = struct.pack("=BBBBI", connection.family, socket.IPPROTO_TCP, 0, 0, ANY) + ends
-    with socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, NETLINK_SOCK_DIAG) as kernel:
-        kernel.send(struct.pack("=IHHII", 16 + len(request), SOCK_DIAG_BY_FAMILY, NLM_F_REQUEST, 1, 0) + request)
-        reply = kernel.recv(4096)
-    if struct.unpack_from("=H", reply, 4)[0] != SOCK_DIAG_BY_FAMILY:
-        (code,) = struct.unpack_from("=i", reply, 16)
-        if code == -errno.ENOENT:
-            return None
-        raise OSError(-code, os.strerror(-code))
-    user, inode = struct.unpack_from("=II", reply, 16 + 64)
-    return user if inode else None  # without one it is nobody's any more, whose user reads as 0

@@ -1,8 +1,9 @@
-"""The studio's HTTP and WebSocket server: viser's, behind the rule of `access`, with a script and a channel of our own.
+"""The studio's HTTP and WebSocket server: viser's, behind the rule of `access`, with a script and channel of our own.
 
 viser has no access control, and its key events only trigger. So its server's sockets are opened here: a request
-without the token is refused before viser sees it, and the path ``control`` of the same port carries held keys, gamepads
-and commands (`control`). viser may also open a public tunnel when a client asks for it; that is switched off.
+without the token, or of another user, is refused before viser sees it, and the path ``control`` of the same port
+carries held keys, gamepads and commands (`control`). viser may also open a public tunnel when a client asks for it;
+that is switched off.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import asyncio
 import http
 import io
 import json
+import os
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
@@ -28,6 +30,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from roboxim_core.errors import ConfigError, ErrorCode, RoboximError
+from roboxim_ros.peer_user import user_of_peer
 from roboxim_studio.serving.access import Access
 
 NARROW = 0.75
@@ -167,7 +170,7 @@ class Site:
 
         def checked(connection: Any, request: Request) -> Response | None:
             rest = self._access.path(request.path, request.headers)
-            if rest is None:
+            if rest is None or not (self._access.open_network or _of_own_user(connection)):
                 return _answer(http.HTTPStatus.FORBIDDEN, b"open the address that 'roboxim studio' printed\n")
             if request.headers.get("Upgrade", "").lower() == "websocket":
                 return None
@@ -228,6 +231,17 @@ def _look_above_the_panel(client: Any) -> None:
     """Move a narrow page's view up, where its panel does not cover it."""
     if client.camera.image_width < NARROW * client.camera.image_height:
         client.camera.position, client.camera.look_at = (2.1, -1.35, 1.5), (0.4, 0.05, -0.95)
+
+
+def _of_own_user(connection: Any) -> bool:
+    """Return whether this user, or the superuser, has the other end; yes where the kernel does not tell.
+
+    Other users can read the address in the command line of the browser that was started with it.
+    """
+    try:
+        return user_of_peer(connection.transport.get_extra_info("socket")) in (os.geteuid(), 0)
+    except (OSError, AttributeError):  # AttributeError: no netlink, not Linux
+        return True
 
 
 def _object(text: str) -> dict[str, Any]:
