@@ -78,7 +78,7 @@ class Studio:
             self.site, self.bench, self.folder, self.open_bag, self.open_beside,
             lambda: (self.episode.film, self.episode.tick),
         )  # fmt: skip
-        self.dataset = DatasetPanel(self.site, self.view, self.library)
+        self.dataset = DatasetPanel(self.site, self.view, self.library, self.bench, self.folder)
         self.episode = EpisodePanel(self.site, self.view)
         self.what_if = WhatIfPanel(self.site, self.episode, self.bench, self.lab, self.library)
         self.editor = EditorPanel(self.site, self.view, self.bench, self.lab, self.library, self.folder)
@@ -239,6 +239,8 @@ class Studio:
             self.episode.hide()
             self.what_if.hide()
             self.dataset.hide()
+        if mode == DRIVE:
+            self.drive.prefer_edits()
         if mode == SCENE:
             self.editor.show()
         elif mode == EPISODE:

@@ -1,3 +1,5 @@
+import time
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,9 @@ from roboxim_studio.acting.drive import Drive, next_index
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.acting.steering import Speeds, Steering, action_of, moves
 from roboxim_studio.browser import wait_for
+from roboxim_studio.editing import document as edits
 from roboxim_studio.episode.film import read_film
+from roboxim_studio.panels.drive import offset_words
 
 SEED = SeedPath(run_seed=1, purpose="demo", index=0)
 HERE = Pose(position=(0.5, 0.0, 0.3), quat_xyzw=(1.0, 0.0, 0.0, 0.0))
@@ -84,6 +88,45 @@ def test_an_episode_that_is_cut_off_is_set_apart_and_whole(lab, bag, tmp_path):
     assert check_bag(tmp_path / path).ok
     assert BagReader(tmp_path / path).result.reason == "interrupted"
     assert next_index(tmp_path, SEED) == 1
+
+
+def test_a_tap_is_one_tick_and_a_page_that_falls_silent_moves_nothing(studio, tmp_path):
+    studio.drive.bags = tmp_path
+    studio.open_task("pick_cube").result(timeout=120)
+    studio.show("Drive")
+    panel = studio.drive
+    first = panel.begin().result(timeout=120)
+    down, up = {"held": ["KeyR"], "pad": None}, {"held": [], "pad": None}
+    for seq in (1, 2):
+        panel.heard(1, down)
+        panel.heard(1, up)
+        wait_for(lambda seq=seq: first.state.seq == seq, "the tick of a tap", 60)
+    panel.heard(1, down)  # and then nothing: the page is busy with its picture
+    wait_for(lambda: first.state.seq == 3, "the tick of a word", 60)
+    time.sleep(0.5)
+    assert first.state.seq == 3
+    commanded = first.state.robot.pose_tcp_commanded.position[2]
+    assert commanded == pytest.approx(first._recorder._states[0].robot.pose_tcp_commanded.position[2] + 0.06, abs=1e-4)
+    assert "target from the tool: " in panel._lamps.content
+    assert "you act; time stands still until you move" in panel._lamps.content
+    panel.begin().result(timeout=120)
+    assert f"set apart as {tmp_path.name}/set_apart/" in panel._told.content
+
+
+def test_words_say_where_the_object_is_in_the_directions_of_the_keys():
+    turned = Pose(quat_xyzw=(0.0, 0.0, 0.7071067811865476, 0.7071067811865476))  # the base looks along y
+    said = offset_words(turned, (0.0, 0.0, 0.3), (0.003, 0.021, 0.26), "target")
+    assert said == "target from the tool: 21 mm away, 3 mm right, 40 mm down"
+
+
+def test_edits_are_what_is_driven_next(studio):
+    studio.open_task("pick_cube").result(timeout=120)
+    studio.show("Drive")
+    assert studio.drive._source.value == "the task's next scene"
+    studio.show("Scene")
+    studio.editor.edit(lambda d: edits.with_instruction(d, "Lift the cube"))
+    studio.show("Drive")
+    assert studio.drive._source.value == "the edited scene"
 
 
 @pytest.mark.thorough

@@ -1,3 +1,4 @@
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -89,6 +90,14 @@ def test_the_ghost_shows_what_the_planner_sees_in_step_with_the_edits(editor):
     editor.hide()
     assert editor.ghost.bodies == ()
     assert len(editor.ghost.path) == 0
+
+
+def test_a_new_object_is_put_where_there_is_room(editor):
+    for _ in range(3):
+        editor._object.add("mug")
+    places = [entity.pose.position[:2] for entity in editor.desk.scene.entities]
+    assert min(np.linalg.norm(np.subtract(a, b)) for a, b in itertools.combinations(places, 2)) > 0.05
+    assert editor.desk.refresh().result(timeout=120).findings == ()
 
 
 def test_undo_and_redo_walk_through_every_edit(document):

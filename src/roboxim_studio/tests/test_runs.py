@@ -1,5 +1,6 @@
 """Runs, datasets and selections in the studio."""
 
+import html
 import shutil
 
 import numpy as np
@@ -10,6 +11,7 @@ from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.where import with_files
 from roboxim_recorder.export import EXPORTERS
 from roboxim_runs.datasets.export import export_dataset
+from roboxim_runs.datasets.rewriting import convert_dataset
 from roboxim_studio.browser import wait_for
 from roboxim_studio.episode.choice import selection_text
 from roboxim_studio.episode.film import read_film
@@ -48,13 +50,13 @@ def test_a_selection_file_leaves_episodes_out_of_exports_and_touches_no_bag(stud
     studio.open(recognise(str(run)))
     (entry,) = studio.files.entries
     before = {file: file.stat().st_mtime_ns for file in run.rglob("*")}
-    studio.files.mark(entry.name, "Leave out")
-    file = studio.files.save("mine")
+    studio.files.selection.mark(entry.name, "Leave out")
+    file = studio.files.selection.save("mine")
     assert with_files([f"@{file}"]) == (f"episode!={entry.name}",)
     assert {file: file.stat().st_mtime_ns for file in run.rglob("*")} == before
-    studio.files.mark(entry.name, "Unmark")
-    assert not studio.files.marks
-    assert studio.files.save("../x") is None
+    studio.files.selection.mark(entry.name, "Unmark")
+    assert not studio.files.selection.marks
+    assert studio.files.selection.save("../x") is None
     assert not list(tmp_path.parent.glob("x.where"))
 
 
@@ -64,34 +66,75 @@ def test_a_selection_file_trims_and_relabels_and_can_be_loaded_again(studio, run
     (entry,) = studio.files.entries
     last = studio.episode.film.result.steps
     studio.episode.show(4)
-    studio.files.trim("Starts here")
+    studio.files.selection.trim("Starts here")
     studio.episode.show(last - 2)
-    studio.files.trim("Ends here")
-    studio.files.relabel("Lift  it = now")
-    studio.files.mark(entry.name, "Flag")
-    file = studio.files.save("mine")
+    studio.files.selection.trim("Ends here")
+    studio.files.selection.relabel("Lift  it = now")
+    studio.files.selection.mark(entry.name, "Flag")
+    file = studio.files.selection.save("mine")
     lines = (f"trim {entry.episode} 4..{last - 3}", f"relabel {entry.episode} Lift it = now")
     assert with_files([f"@{file}"]) == lines
     config = EXPORTERS["hdf5"]().config(val_fraction=0.0, where=lines)
     (episode,) = open_dataset(export_dataset("hdf5", [run], tmp_path / "data", config).path).episodes()
     assert (episode.length, episode.instruction) == (last - 6, "Lift it = now")
-    edits, marks = dict(studio.files.edits), dict(studio.files.marks)
-    studio.files.trim("Whole again")
-    studio.files.relabel("")
-    studio.files.mark(entry.name, "Unmark")
-    assert not studio.files.edits
-    studio.files.load("mine")
-    assert (studio.files.edits, studio.files.marks) == (edits, marks)
-    studio.files.load("../mine")
+    edits, marks = dict(studio.files.selection.edits), dict(studio.files.selection.marks)
+    studio.files.selection.trim("Whole again")
+    studio.files.selection.relabel("")
+    studio.files.selection.mark(entry.name, "Unmark")
+    assert not studio.files.selection.edits
+    studio.files.selection.load("mine")
+    assert (studio.files.selection.edits, studio.files.selection.marks) == (edits, marks)
+    studio.files.selection.load("../mine")
     studio.episode.show(0)
-    studio.files.trim("Ends here")
-    assert "nothing would be left" in studio.files._told.content
+    studio.files.selection.trim("Ends here")
+    assert "nothing would be left" in studio.files.selection._told.content
+
+
+def test_conditions_list_the_episodes_that_meet_them(studio, run):
+    studio.open(recognise(str(run)))
+    panel = studio.files
+    panel.filter("object=cube; steps<1000")
+    assert len(panel.shown()) == 1
+    panel.filter("steps>1000")
+    assert panel.shown() == ()
+    panel.filter("colour=red")
+    assert "no episode has 'colour'" in html.unescape(panel.selection._told.content)
+    panel.filter("")
+    assert len(panel.shown()) == 1
+
+
+def test_a_dataset_is_filtered_marked_trimmed_and_audited_without_being_touched(studio, run, tmp_path):
+    source = tmp_path / "hdf5"
+    export_dataset("hdf5", [run], source, EXPORTERS["hdf5"]().config(val_fraction=0.0))
+    before = {file: file.read_bytes() for file in source.rglob("*") if file.is_file()}
+    studio.dataset._saves = tmp_path
+    studio.open(recognise(str(source)))
+    panel = studio.dataset
+    panel.filter("outcome=success; steps<1000")
+    (name,) = panel._found
+    assert panel._meeting.options[1].startswith(f"{name} | ")
+    panel.filter("skill=nothing")
+    assert "expected" in panel.selection._told.content
+    panel.selection.audit()
+    assert "never change" in panel.selection._told.content
+    panel.step(3)
+    panel.selection.trim("Starts here")
+    panel.selection.relabel("Lift it")
+    panel.selection.mark(name, "Flag")
+    file = panel.selection.save("mine")
+    assert with_files([f"@{file}"]) == (f"trim {name} 3..{len(panel.episode) - 1}", f"relabel {name} Lift it")
+    convert_dataset(source, tmp_path / "cut", "hdf5", where=with_files([f"@{file}"]))
+    (episode,) = open_dataset(tmp_path / "cut").episodes()
+    assert (episode.length, episode.instruction) == (len(panel.episode) - 3, "Lift it")
+    panel.selection.mark(name, "Leave out")
+    assert with_files([f"@{panel.selection.save('none')}"])[0] == f"episode!={name}"
+    assert {file: file.read_bytes() for file in source.rglob("*") if file.is_file()} == before
 
 
 def test_an_audit_of_a_clean_run_flags_nothing(studio, run):
     studio.open(recognise(str(run)))
-    studio.files.audit()
-    assert not studio.files.marks
+    studio.files.selection.audit()
+    assert not studio.files.selection.marks
 
 
 def test_a_line_of_a_selection_file_that_is_no_condition_is_named(tmp_path):

@@ -81,6 +81,10 @@ def command(
             click.echo(f"attached to the run {run.id}{f'; other runs: {named}' if named else ''}", err=True)
         studio.open(opened)
         stop.wait()
+    if kept := studio.drive.kept:
+        folder = studio.drive.bags.name
+        click.echo(f"\n{kept} episode{'s' * (kept > 1)} kept in {folder}")
+        click.echo(f"next: roboxim export lerobot {folder} --for act --out {folder}-act")
 
 
 def _policies(names: tuple[str, ...], checkpoints: tuple[str, ...]) -> list[ChosenPolicy]:

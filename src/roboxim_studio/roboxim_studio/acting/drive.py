@@ -116,6 +116,8 @@ class Drive:
         """Who acts while the person does not; none: nobody."""
         self.instruction = draw.task.instruction
         """The instruction."""
+        self.aim = next((o.entity for role, o in draw.task.objects.items() if not role.startswith("distractor")), "")
+        """The first object that the task is about; empty: there is none."""
         self._acts = ActedBy.HUMAN
         self.partner_acts = partner is not None and not after
         """Whether the partner has control."""

@@ -267,6 +267,11 @@ class History:
     _before: list[FixedTask] = field(default_factory=list)
     _after: list[FixedTask] = field(default_factory=list)
 
+    @property
+    def edited(self) -> bool:
+        """Whether there are edits that can be undone."""
+        return bool(self._before)
+
     def change(self, document: FixedTask) -> bool:
         """Make an edit; returns whether it changed anything."""
         if document == self.now:

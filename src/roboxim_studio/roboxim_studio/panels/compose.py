@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.config import digest
+from roboxim_core.config import digest, named_config
 from roboxim_core.config_folders import config_names
 from roboxim_core.episode import Draw
 from roboxim_core.errors import ConfigError, RoboximError, one_of
@@ -88,6 +88,8 @@ class ComposePanel:
             task: Name in ``config/tasks``, or a file; empty: the default task.
         """
         self.folder.visible = True
+        if task and (name := Path(task).stem) in self._task.options and named_config("tasks", name) == Path(task):
+            task = name
         if task and task not in self._task.options:
             self._task.options = (*self._task.options, task)
         if task:

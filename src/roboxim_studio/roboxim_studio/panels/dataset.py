@@ -17,21 +17,30 @@ from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.specs import RobotSpec, SceneSpec
 from roboxim_core.state import StateRecord
+from roboxim_datasets.choosing import facts_of
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import Episode, Step
 from roboxim_datasets.formats import open_dataset
+from roboxim_datasets.rewrite import Place
+from roboxim_datasets.where import Fact
+from roboxim_studio.bench import Bench
 from roboxim_studio.episode.arm_track import ArmTrack, arm_track, arms_that_fit, named_arm
 from roboxim_studio.episode.film import Pictures
 from roboxim_studio.episode.statistics import Distribution, distributions
 from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.panels import markup
+from roboxim_studio.panels.editor_forms import by_person
 from roboxim_studio.panels.plots import COLOURS, Plot, add_distributions
+from roboxim_studio.panels.selection import CONDITIONS_HINT, MARKS, OpenEpisode, Selection, meeting
 from roboxim_studio.serving.site import Site
 from roboxim_tasks.files import named
 
 MOST_MEASURED = 500
 """Episodes whose actions are measured; those of larger datasets are the first ones."""
 UNKNOWN = "unknown"
+ALL = "choose one"
+MOST_LISTED = 500
+"""Episodes that meet conditions and are listed."""
 LARGEST_PX = 256
 """Longer side of the pictures [px]; larger ones are scaled down."""
 
@@ -39,14 +48,23 @@ LARGEST_PX = 256
 class DatasetPanel:
     """Shows one episode of a dataset."""
 
-    def __init__(self, site: Site, view: SceneView, library: ModelLibrary) -> None:
+    def __init__(self, site: Site, view: SceneView, library: ModelLibrary, bench: Bench, folder: Path) -> None:
         """Build the panel in the current container; it stays hidden until a dataset is opened.
 
         Args:
             site: The page.
             view: The three-dimensional view.
             library: The arms that can be shown.
+            bench: Where episodes are read to filter them.
+            folder: Folder to save selections into.
         """
+        self._bench, self._saves = bench, folder
+        self.selection: Selection | None = None
+        """What is marked and edited."""
+        self._place = ("", 0)
+        self._known: dict[str, dict[str, Fact]] = {}
+        self._found: list[str] = []
+        self._numbers: dict[str, int] = {}
         self._site, self._gui, self._view, self._library = site, site.viser.gui, view, library
         self.track: ArmTrack | None = None
         """Where the arm is at every step; none: not known."""
@@ -76,17 +94,31 @@ class DatasetPanel:
         gui = self._gui
         splits = ", ".join(f"{name} {count}" for name, count in self.dataset.splits.items())
         with self.folder:
-            facts = gui.add_html(
+            gui.add_html(
                 markup.facts(
                     [("folder", path.name), ("episodes", f"{len(self.dataset)} ({splits})")], "dataset-facts"
                 )
             )  # fmt: skip
-            number = gui.add_number("Episode", initial_value=0, min=0, max=max(0, len(self.dataset) - 1), step=1)
-            measure = gui.add_button("Measure the actions of all episodes")
-            self._measured = gui.add_folder("Distributions", visible=False)
-        number.on_update(lambda event: self.show(int(event.target.value)) if event.client else None)
+            conditions = gui.add_text("Conditions", initial_value="", hint=CONDITIONS_HINT)
+            self._meeting: Any = gui.add_dropdown("Meeting them", (ALL,), initial_value=ALL, visible=False)
+            self._number: Any = gui.add_number(
+                "Episode", initial_value=0, min=0, max=max(0, len(self.dataset) - 1), step=1
+            )
+            self._marked = gui.add_html("")
+            self.selection = Selection(
+                gui, self._saves, path, opened=self._open_episode, chosen=lambda: "/".join(map(str, self._place)),
+                changed=self._list, command="roboxim dataset convert lerobot {source} --where {file} --out ...",
+            )  # fmt: skip
+            with self.selection.folder:
+                measure = gui.add_button("Measure all episodes")
+                self._measured = gui.add_folder("Distributions", visible=False)
+        places = [self.dataset.place(index) for index in range(len(self.dataset))]
+        self.selection.ids = {f"{split}/{index}": f"{split}/{index}" for split, index in places}
+        self._numbers = {name: number for number, name in enumerate(self.selection.ids)}
+        conditions.on_update(by_person(lambda text: self._bench.do(lambda: self.filter(str(text)), newest_of="filter")))
+        self._meeting.on_update(lambda event: self._show_named(str(event.target.value)) if event.client else None)
+        self._number.on_update(lambda event: self.show(int(event.target.value)) if event.client else None)
         measure.on_click(lambda _: threading.Thread(target=self.measure, name="measure", daemon=True).start())
-        self._fresh = [facts, number, measure]
         self.folder.visible = self._active = True
         self.show(0)
 
@@ -94,6 +126,7 @@ class DatasetPanel:
         """Show an episode by its number; one that cannot be read is named."""
         assert self.dataset is not None
         try:
+            self._place = self.dataset.place(index)
             episode = self.dataset.episode(index)
             rows = [step for step in episode.steps(cameras=())]
         except RoboximError as error:
@@ -156,6 +189,52 @@ class DatasetPanel:
                 text = f"in 3D: '{self.track.source}' as the joints of {name}{fingers}"
             self._said.content = markup.paragraph(text, "dataset-arm")
             self.show_again()
+
+    def filter(self, text: str) -> None:
+        """Offer the episodes that meet conditions, as ``--where`` takes them; empty: all. Reads each episode once."""
+        assert self.dataset is not None
+        assert self.selection is not None
+        self._meeting.visible = bool(text.strip())
+        if not text.strip():
+            self.selection.say("")
+            return
+        try:
+            for number, name in enumerate(self._numbers):
+                if self._bench.stopping.is_set():
+                    return
+                if number % 20 == 0:
+                    self.selection.say(f"{number} of {len(self._numbers)} episodes read")
+                if name not in self._known:
+                    split, index = self.dataset.place(number)
+                    self._known[name] = facts_of(Place(dataset=self.dataset, split=split, index=index))
+            found = meeting(text, self._known)
+        except RoboximError as error:
+            self.selection.say(str(error), alert=True)
+            return
+        self._found = [name for name in self._numbers if name in found]
+        self._list()
+        self.selection.say(f"{len(found)} of {len(self._numbers)} episodes meet the conditions")
+
+    def _list(self) -> None:
+        """Show the marks, and the names of the episodes that meet the conditions."""
+        assert self.selection is not None
+        self._marked.content = markup.facts(rows, "dataset-marks") if (rows := self.selection.rows()) else ""
+        names = [
+            f"{self.selection.mark_of(name)}{name} | {self._known[name]['instruction'][0]}" for name in self._found
+        ]
+        self._meeting.options = (ALL, *names[:MOST_LISTED])
+
+    def _show_named(self, shown: str) -> None:
+        name = shown.removeprefix(MARKS["flag"]).removeprefix(MARKS["out"]).partition(" | ")[0]
+        if name in self._numbers:
+            self._number.value = self._numbers[name]
+            self.show(self._numbers[name])
+
+    def _open_episode(self) -> OpenEpisode | None:
+        if self.episode is None:
+            return None
+        name, number = "/".join(map(str, self._place)), self.number
+        return OpenEpisode(episode=name, starts=number, ends=number, last=len(self.episode) - 1)
 
     def hide(self) -> None:
         """Leave the view to another panel."""

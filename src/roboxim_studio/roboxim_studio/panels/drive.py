@@ -5,8 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from roboxim_core.episode import Draw, EpisodeStep
 from roboxim_core.errors import ConfigError, PolicyError, RoboximError
@@ -77,11 +80,17 @@ class DrivePanel:
         self._watch, self._opened = watch, opened
         self.drive: Drive | None = None
         """The episode; none: none was begun."""
+        self.kept = 0
+        """Number of episodes that were kept since the studio began."""
         self._heard: dict[int, tuple[float, Mapping[str, Any]]] = {}
         self._target: Pose | None = None
         self._base = Pose()
         self._opening = 1.0
         self._pressed: dict[int, frozenset[str]] = {}
+        self._owed: Steering | None = None
+        self._served = False
+        self._plumb: Any = None
+        self._verdict = ""
         self._ending = ""
         self._lock = threading.RLock()
         self._gizmo: Any = None
@@ -92,7 +101,7 @@ class DrivePanel:
         gui = self._gui
         self.folder = gui.add_folder("Drive", visible=False)
         with self.folder:
-            self._source = gui.add_dropdown("Scene", (DRAWN, EDITED, OPENED), initial_value=DRAWN)
+            self._source: Any = gui.add_dropdown("Scene", (DRAWN, EDITED, OPENED), initial_value=DRAWN)
             self._partner: Any = gui.add_dropdown(
                 "Acts with you", (NOBODY, EXPERT, *lab.policies), initial_value=NOBODY,
                 hint="Begins the episode; take over and hand back with T.",
@@ -115,12 +124,18 @@ class DrivePanel:
 
     # ---------------------------------------------------------------- episodes
 
+    def prefer_edits(self) -> None:
+        """Offer the edited scene first, if there are edits, else the task's."""
+        if self._source.value != OPENED:
+            desk = self._editor.desk
+            self._source.value = EDITED if desk is not None and desk.history.edited else DRAWN
+
     def begin(self) -> Any:
         """Begin an episode; returns the future drive. One that is running is set apart first."""
         return self._bench.do(self._begin)
 
     def _begin(self) -> Drive | None:
-        self.leave()
+        apart = self.leave()
         seed = self._compose.seed
         index = next_index(self.bags, seed)
         seed = type(seed)(run_seed=seed.run_seed, purpose=seed.purpose, index=index)
@@ -139,7 +154,7 @@ class DrivePanel:
             self.drive, self._ending, self._target = drive, "", None
             self._base, self._opening = draw.scene.robot.pose, drive.state.robot.gripper_command
             self._place_gizmo(drive.state.robot.pose_tcp_commanded)
-        self._tell(f"{draw.task.instruction}\n{HELP}" + (f"\n{HAND_HELP}" if partner else ""))
+        self._tell("\n".join(filter(None, (apart, draw.task.instruction, HELP, HAND_HELP if partner else ""))))
         self._site.tell(driving=True, hint=draw.task.instruction, alert="")
         self._say_who(drive)
         self._running.set()
@@ -166,18 +181,22 @@ class DrivePanel:
         self._say_who(drive, why)
 
     def _say_who(self, drive: Drive, why: str = "") -> None:
+        self._show_line(drive.state)
         if drive.partner is None:
             return
         who = f"{drive.partner.name} acts; T: take over" if drive.partner_acts else "you act; T: hand back"
         self._site.tell(hint=f"{drive.instruction}\n{who}", alert=why)
 
-    def leave(self) -> None:
-        """Set a running episode apart; on the bench."""
+    def leave(self) -> str:
+        """Set a running episode apart; on the bench. Returns where it is, in words; empty: none was running."""
         self._running.clear()
         drive, self.drive = self.drive, None
+        said = ""
         if drive is not None and (path := drive.close()):
-            self._tell(f"the running episode was set apart as {path}")
+            said = f"the running episode was not ended: it is set apart as {self.bags.name}/{path}"
+            self._tell(said)
         self._stop_driving()
+        return said
 
     def _stop_driving(self) -> None:
         with self._lock:
@@ -185,6 +204,10 @@ class DrivePanel:
                 self._gizmo.remove()
                 self._gizmo = None
             self._heard.clear()
+            self._owed = None
+            if self._plumb is not None:
+                self._plumb.remove()
+                self._plumb = None
         self._site.tell(driving=False, hint="")
 
     def close(self) -> None:
@@ -211,8 +234,13 @@ class DrivePanel:
                 return
             if "held" in message:
                 self._heard[page] = (time.monotonic(), message)
-                before, now = self._pressed.get(page, frozenset()), Steering.of_message(message).once()
+                said = Steering.of_message(message)
+                before, now = self._pressed.get(page, frozenset()), said.once()
                 self._pressed[page] = now
+                if any(said.directions()):
+                    self._owed = said
+                elif self._served:
+                    self._owed, self._served = None, False
         if "held" in message:
             for code in now - before:
                 self.key(code)
@@ -245,6 +273,21 @@ class DrivePanel:
             return Steering(
                 held=held, axes=pad.axes, buttons=pad.buttons, space_mouse=mouse, target=self._target
             )  # fmt: skip
+
+    def _taken(self) -> Steering:
+        """Return what moves the tool in the next tick.
+
+        A word of a page moves it once: a tap by one tick, however short, and a page that draws slowly by one tick for
+        each word, so that a person sees every tick before the next. With time going on, a held key counts until it is
+        released.
+        """
+        with self._lock:
+            owed, self._owed = self._owed, None
+            self._served = self._served or owed is not None
+        now = self.steering()
+        if owed is not None:
+            return replace(owed, held=owed.held | now.held if any(now.directions()) else owed.held)
+        return replace(now, held=frozenset(), axes=(), space_mouse=SpaceMouse()) if self._waits.value else now
 
     def _place_gizmo(self, pose_tcp: Pose) -> None:
         if self._gizmo is not None:
@@ -291,7 +334,7 @@ class DrivePanel:
         if drive.partner_acts:
             self._partner_advance(drive)
             return
-        state, steering = drive.state, self.steering()
+        state, steering = drive.state, self._taken()
         commanded = self._base.inverse() @ state.robot.pose_tcp_commanded
         speeds = Speeds(translation_m_s=float(self._speed.value))
         action = action_of(steering, commanded, self._opening, drive.rate_hz, speeds)
@@ -321,6 +364,8 @@ class DrivePanel:
         self._stop_driving()
         film = drive.film
         assert film is not None
+        self._show_line(film.states[-1])
+        self.kept += drive.bag is not None
         kept = f"kept as {drive.bag.name}" if drive.bag is not None else ""
         self._tell(f"{ending(film)} after {film.result.steps} actions; {kept}\nBackspace or 'Throw away' removes it")
         self._site.tell(hint=f"{ending(film)}; Backspace throws it away")
@@ -329,6 +374,7 @@ class DrivePanel:
         drive, self._ending = self.drive, ""
         self._running.clear()
         if drive is not None:
+            self.kept -= drive.bag is not None
             drive.throw_away()
             self.drive = None
         self._stop_driving()
@@ -341,10 +387,8 @@ class DrivePanel:
         if self._gizmo is not None and self._target is None:
             pose = state.robot.pose_tcp_commanded
             self._gizmo.position, self._gizmo.wxyz = pose.position, wxyz(pose)
-        self._lamps.content = markup.paragraph(
-            f"tick {state.seq}   {'solved' if step.verdict.success else step.verdict.reason}{self._who()}",
-            "drive-verdict",
-        )
+        self._verdict = "solved" if step.verdict.success else step.verdict.reason
+        self._show_line(state)
         for name, image in images.items():
             if name in self._images:
                 self._images[name].image = image
@@ -352,12 +396,44 @@ class DrivePanel:
                 with self._pictures:
                     self._images[name] = self._gui.add_image(image, label=name, jpeg_quality=85)
 
-    def _who(self) -> str:
-        """Return who acts, for the panel; empty when the person is alone."""
-        drive = self.drive
-        if drive is None or drive.partner is None:
-            return ""
-        return f"   {drive.partner.name if drive.partner_acts else 'you'} act{'s' if drive.partner_acts else ''}"
+    def _show_line(self, state: StateRecord) -> None:
+        """Show the tick, who acts, and where the tool is; a plumb line from it to the table."""
+        drive, scene = self.drive, self._view.scene
+        if scene is None:
+            return
+        partner = drive.partner if drive is not None and drive.partner_acts else None
+        who = f"{partner.name} acts" if partner is not None else "you act; time stands still until you move"
+        if partner is None and not self._waits.value:
+            who = "you act"
+        over = drive is not None and drive.result is not None
+        lines = [f"tick {state.seq}   {self._verdict}   {'ended' if over else who}"]
+        tool = state.robot.pose_tcp_measured.position
+        if drive is not None and drive.aim in {entity.name for entity in state.entities}:
+            aim = state.entity(drive.aim).pose.position
+            lines.append(offset_words(scene.robot.pose, tool, aim, drive.aim))
+        self._lamps.content = markup.paragraph("\n".join(lines), "drive-verdict")
+        if self._plumb is not None:
+            self._plumb.remove()
+        foot = (tool[0], tool[1], scene.table.center[2])
+        self._plumb = self._site.viser.scene.add_line_segments(
+            "/drive/plumb", np.array([[tool, foot]], np.float32), colors=(230, 60, 200), thickness=2.0,
+            thickness_units="screen",
+        )  # fmt: skip
 
     def _tell(self, text: str, *, alert: bool = False) -> None:
         self._told.content = markup.paragraph(text, "drive", alert=alert)
+
+
+def offset_words(base: Pose, tool: tuple[float, ...], aim: tuple[float, ...], name: str) -> str:
+    """Return where an object's middle is from the tool, in the directions of the keys, e.g. ``target: 21 mm away``.
+
+    Args:
+        base: Pose of the robot's base in the world.
+        tool: Position of the tool in the world [m].
+        aim: Position of the object in the world [m].
+        name: The object.
+    """
+    turned = Pose(quat_xyzw=base.quat_xyzw).inverse().apply(np.subtract(aim, tool))
+    words = (("away", "back"), ("left", "right"), ("up", "down"))
+    parts = [f"{abs(v) * 1000:.0f} mm {way[int(v < 0)]}" for v, way in zip(turned, words, strict=True)]
+    return f"{name} from the tool: {', '.join(parts)}"

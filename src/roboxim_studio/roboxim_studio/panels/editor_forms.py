@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -20,6 +20,8 @@ from roboxim_tasks.fixed_scene import FixedTask
 from roboxim_tasks.skills import SKILLS
 
 DEFAULT = "default"
+ROOM_M = 0.14
+"""Distance of a new object from the others [m]."""
 NEW_CAMERA = CameraSpec(
     name="camera", pose=Pose(position=(1.1, 0.0, 0.6), quat_xyzw=(-0.6279630, -0.6279630, 0.3250576, 0.3250576))
 )
@@ -65,11 +67,11 @@ class ObjectForm:
         add.on_click(lambda _: self.add(str(self._model.value)))
 
     def add(self, model: str) -> None:
-        """Add an object beside the others, and select it."""
+        """Add an object where there is room, and select it."""
         desk = self._editor.desk
         assert desk is not None
         taken = {entity.name for entity in desk.scene.entities}
-        place = (0.5, round(0.05 * (len(taken) % 5) - 0.1, 3))
+        place = free_place([entity.pose.position[:2] for entity in desk.scene.entities])
         self._editor.edit(lambda document: edits.added(document, model, self._editor.library, place))
         new = [entity.name for entity in desk.scene.entities if entity.name not in taken]
         if new:
@@ -125,6 +127,19 @@ class ObjectForm:
             return edits.moved(document, name, pose)
 
         self._editor.edit(change)
+
+
+def free_place(taken: Sequence[Sequence[float]]) -> tuple[float, float]:
+    """Return the place nearest to the middle of the workspace that is `ROOM_M` from all others, else the loneliest.
+
+    Args:
+        taken: Places of the objects, x and y [m].
+    """
+    places = [(x / 100, y / 100) for x in range(36, 66, 4) for y in range(-28, 32, 4)]
+    places.sort(key=lambda place: math.dist(place, (0.5, 0.0)))
+    rooms = [min((math.dist(place, other) for other in taken), default=math.inf) for place in places]
+    wide = next((place for place, room in zip(places, rooms, strict=True) if room >= ROOM_M), None)
+    return wide or places[rooms.index(max(rooms))]
 
 
 def _yaw(pose: Pose) -> tuple[float, float]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,29 +12,24 @@ import numpy as np
 from viser import uplot
 
 from roboxim_core.errors import RoboximError
-from roboxim_datasets.audit.values import Finding
-from roboxim_datasets.where import Choice, Edit
+from roboxim_datasets.where import Fact
 from roboxim_eval.statistics.rates import success_rate
 from roboxim_recorder.bag import BagReader
+from roboxim_recorder.export.where import facts_of
 from roboxim_studio.bench import Bench
-from roboxim_studio.episode.choice import read_selection, save_selection, selection_text
 from roboxim_studio.episode.film import Film
 from roboxim_studio.episode.listing import Entry, list_entries
 from roboxim_studio.episode.statistics import Traits, traits
 from roboxim_studio.opening import bags_of
 from roboxim_studio.panels import markup
+from roboxim_studio.panels.editor_forms import by_person
 from roboxim_studio.panels.progress import Progress
+from roboxim_studio.panels.selection import CONDITIONS_HINT, MARKS, OpenEpisode, Selection, meeting
 from roboxim_studio.serving.site import Site
 
 ANY = "any"
 WATCH_S = 1.0
 """Period in which a run's folder is looked at for new episodes."""
-TRIMS = ("Starts here", "Ends here", "Whole again")
-"""How the open episode is trimmed at the tick that it shows."""
-MOST_FINDINGS = 12
-"""Findings of an audit that the panel lists."""
-MARKS = {"": "", "flag": "! ", "out": "x "}
-"""Mark of an episode to the text before its name."""
 
 
 class FilesPanel:
@@ -61,10 +55,10 @@ class FilesPanel:
         self.folder = self._gui.add_folder("Run", visible=False)
         self.entries: tuple[Entry, ...] = ()
         """Every episode of the run."""
-        self.marks: dict[str, str] = {}
-        """Episode to ``flag`` or ``out``."""
-        self.edits: dict[str, Edit] = {}
-        """Episode to what the selection changes of it."""
+        self.selection: Selection | None = None
+        """What is marked and edited."""
+        self._facts_of: dict[Path, dict[str, Fact]] = {}
+        self._meeting: frozenset[str] | None = None
         self.run: Path | None = None
         """The folder."""
         self.progress: Progress | None = None
@@ -82,7 +76,7 @@ class FilesPanel:
         """
         with self._lock:
             following = self.run is not None
-            self.run, self._known, self.marks, self.edits = folder, bags, {}, {}
+            self.run, self._known, self._meeting = folder, bags, None
             self.entries = list_entries(bags, folder)
             for handle in self._fresh:
                 handle.remove()
@@ -101,26 +95,22 @@ class FilesPanel:
         self._closed.set()
 
     def _build(self) -> None:
-        gui = self._gui
+        gui, bench = self._gui, self._bench
         assert self.run is not None
         self._facts = gui.add_html("")
         self.progress = Progress(gui, self.run)
         self._skill: Any = gui.add_dropdown("Skill", (ANY,), initial_value=ANY)
         self._ending: Any = gui.add_dropdown("Outcome", (ANY,), initial_value=ANY)
         self._words = gui.add_text("Instruction has", initial_value="")
-        self._choice: Any = gui.add_dropdown("Episode", self._names(self.entries), initial_value=None)
+        self._conditions = gui.add_text("Conditions", initial_value="", hint=CONDITIONS_HINT)
+        self._choice: Any = gui.add_dropdown("Episode", ("none",), initial_value="none")
         acts = gui.add_button_group("Then", ("Open", "Beside"))
-        marks = gui.add_button_group("Mark", ("Leave out", "Flag", "Unmark"))
-        self._told = gui.add_html("")
-        more = gui.add_folder("Selection, distributions", expand_by_default=False)
-        with more:
-            trims = gui.add_button_group("Open episode", TRIMS)
-            self._new_words = gui.add_text("New instruction", initial_value="")
-            relabel = gui.add_button("Give it this instruction")
-            self._name = gui.add_text("Save as", initial_value="my_selection")
-            save = gui.add_button("Save the selection")
-            load = gui.add_button("Load a saved selection")
-            audit = gui.add_button("Audit all episodes")
+        self.selection = Selection(
+            gui, self._folder, self.run, opened=self._open_episode,
+            chosen=lambda: entry.name if (entry := self._entry(self._chosen())) else "", changed=self._list,
+            command="roboxim export lerobot {source} --where {file} --out ...",
+        )  # fmt: skip
+        with self.selection.folder:
             measure = gui.add_button("Measure all episodes")
             self._measured = gui.add_html("")
             self._plots = gui.add_folder("Distributions", visible=False)
@@ -128,16 +118,11 @@ class FilesPanel:
             one.on_update(lambda _: self._list())
         self._choice.on_update(lambda event: self.open_named(str(event.target.value)) if event.client else None)
         acts.on_click(lambda event: self.open_named(self._chosen(), beside=event.target.value == "Beside"))
-        marks.on_click(lambda event: self.mark(self._chosen(), str(event.target.value)))
-        trims.on_click(lambda event: self.trim(str(event.target.value)))
-        relabel.on_click(lambda _: self.relabel(str(self._new_words.value)))
-        load.on_click(lambda _: self.load(str(self._name.value)))
-        audit.on_click(lambda _: threading.Thread(target=self.audit, name="audit", daemon=True).start())
-        save.on_click(lambda _: self._save())
         measure.on_click(lambda _: self._measure())
+        self._conditions.on_update(by_person(lambda text: bench.do(lambda: self.filter(str(text)), newest_of="filter")))
         self._fresh = [
-            self._facts, self.progress, self._skill, self._ending, self._words, self._choice, acts, marks, self._told,
-            more,
+            self._facts, self.progress, self._skill, self._ending, self._words, self._conditions, self._choice, acts,
+            self.selection,
         ]  # fmt: skip
         self._list()
 
@@ -150,16 +135,60 @@ class FilesPanel:
             entry
             for entry in self.entries
             if skill in (ANY, entry.skill) and ending in (ANY, entry.ending) and words in entry.instruction.lower()
+            if self._meeting is None or entry.name in self._meeting
         )
 
+    def filter(self, text: str) -> None:
+        """List the episodes that meet conditions, as ``--where`` takes them; empty: all. Reads each bag once."""
+        assert self.selection is not None
+        if not text.strip():
+            found, said = None, ""
+        else:
+            facts: dict[str, dict[str, Fact]] = {}
+            for number, entry in enumerate(self.entries):
+                if number % 20 == 0:
+                    self._say(f"{number} of {len(self.entries)} episodes read")
+                if entry.outcome != "unreadable":
+                    facts[entry.name] = self._read_facts(entry)
+            try:
+                found = meeting(text, facts)
+            except RoboximError as error:
+                self._say(str(error), alert=True)
+                return
+            said = f"{len(found)} of {len(self.entries)} episodes meet the conditions"
+        with self._lock:
+            self._meeting = found
+            self._list()
+        self._say(said)
+
+    def _read_facts(self, entry: Entry) -> dict[str, Fact]:
+        if entry.path not in self._facts_of:
+            try:
+                reader = BagReader(entry.path)
+                self._facts_of[entry.path] = facts_of(reader.info, reader.result)
+            except RoboximError:
+                return {"episode": (entry.episode,)}  # it is listed, and opening it says what is wrong
+        return self._facts_of[entry.path]
+
+    def _open_episode(self) -> OpenEpisode | None:
+        film, tick = self._opened()
+        if film is None:
+            return None
+        last = film.result.steps - 1
+        ends = min(max(tick - 1, 0), last)
+        return OpenEpisode(episode=film.info.episode_id, starts=min(tick, last), ends=ends, last=last)
+
     def _names(self, entries: tuple[Entry, ...]) -> tuple[str, ...]:
+        assert self.selection is not None
+        mark_of = self.selection.mark_of
         return tuple(
-            f"{MARKS[self.marks.get(entry.name, '')]}{entry.name} | {entry.ending} | {entry.instruction}"
-            for entry in entries
+            f"{mark_of(entry.name)}{entry.name} | {entry.ending} | {entry.instruction}" for entry in entries
         ) or ("none",)
 
     def _list(self) -> None:
         with self._lock:
+            assert self.selection is not None
+            self.selection.ids = {entry.name: entry.episode or entry.name for entry in self.entries}
             for handle, options in (
                 (self._skill, {entry.skill for entry in self.entries if entry.skill}),
                 (self._ending, {entry.ending for entry in self.entries}),
@@ -169,7 +198,9 @@ class FilesPanel:
                     handle.options = wanted
             names = self._names(self.shown())
             if tuple(self._choice.options) != names:
+                before = self._plain(str(self._choice.value))
                 self._choice.options = names
+                self._choice.value = next((name for name in names if self._plain(name) == before), names[0])
             self._facts.content = markup.facts(self._rows(), "run-facts")
 
     def _rows(self) -> list[tuple[str, object]]:
@@ -187,11 +218,8 @@ class FilesPanel:
         rows += [(f"not: {reason}", count) for reason, count in reasons.most_common(6)]
         if counts["unreadable"]:
             rows.append(("unreadable", counts["unreadable"]))
-        if self.marks:
-            left_out = sum(mark == "out" for mark in self.marks.values())
-            rows.append(("marked", f"{left_out} left out, {len(self.marks) - left_out} flagged"))
-        if self.edits:
-            rows.append(("edited", "; ".join(map(_described, self.edits.values()))))
+        assert self.selection is not None
+        rows += self.selection.rows()
         return rows
 
     def _follow(self) -> None:
@@ -224,8 +252,12 @@ class FilesPanel:
         return str(self._choice.value)
 
     def _entry(self, name: str) -> Entry | None:
-        wanted = name.removeprefix(MARKS["flag"]).removeprefix(MARKS["out"]).partition(" | ")[0]
-        return next((entry for entry in self.entries if entry.name == wanted), None)
+        return next((entry for entry in self.entries if entry.name == self._plain(name)), None)
+
+    @staticmethod
+    def _plain(name: str) -> str:
+        """Return an episode's name without its mark and what follows."""
+        return name.removeprefix(MARKS["flag"]).removeprefix(MARKS["out"]).partition(" | ")[0]
 
     def open_named(self, name: str, *, beside: bool = False) -> None:
         """Open an episode of the list, or show it beside the one that is open."""
@@ -240,119 +272,6 @@ class FilesPanel:
             self._say("")
         except RoboximError as error:
             self._say(str(error), alert=True)
-
-    def mark(self, name: str, what: str) -> None:
-        """Leave an episode out of the selection, flag it, or take its mark away."""
-        entry = self._entry(name)
-        if entry is None:
-            return
-        with self._lock:
-            self.marks.pop(entry.name, None)
-            if what != "Unmark":
-                self.marks[entry.name] = "out" if what == "Leave out" else "flag"
-            place = self.shown().index(entry) if entry in self.shown() else 0
-            self._list()
-            self._choice.value = self._names(self.shown())[place]
-
-    def trim(self, what: str) -> None:
-        """Trim the open episode at the tick that it shows: keep it from there on, up to there, or whole again."""
-        film, tick = self._opened()
-        if film is None:
-            return
-        name, last = film.info.episode_id, film.result.steps - 1
-        before = self.edits.get(name, Edit(episode=name))
-        start, end = before.steps or (0, last)
-        if what == TRIMS[0]:
-            start = min(tick, last)
-        elif what == TRIMS[1]:
-            end = min(max(tick - 1, 0), last)
-        else:
-            start, end = 0, last
-        if start > end:
-            self._say(f"nothing would be left: it would begin at tick {start} and end at {end + 1}", alert=True)
-            return
-        self._edit(replace(before, steps=None if (start, end) == (0, last) else (start, end)))
-
-    def relabel(self, words: str) -> None:
-        """Give the open episode another instruction; empty: its own."""
-        film, _ = self._opened()
-        if film is None:
-            return
-        name, words = film.info.episode_id, " ".join(words.split())
-        try:
-            Choice.parse([f"relabel {name} {words}"] if words else [])
-        except RoboximError as error:
-            self._say(str(error), alert=True)
-            return
-        self._edit(replace(self.edits.get(name, Edit(episode=name)), instruction=words))
-
-    def _edit(self, edit: Edit) -> None:
-        with self._lock:
-            self.edits.pop(edit.episode, None)
-            if edit.steps or edit.instruction:
-                self.edits[edit.episode] = edit
-            self._list()
-        self._say(f"{_described(edit)}; 'Save the selection' keeps it, the bag stays as it is")
-
-    def load(self, name: str) -> None:
-        """Take the marks and edits of a selection file that was saved before."""
-        try:
-            saved = read_selection(self._folder, name)
-        except RoboximError as error:
-            self._say(str(error), alert=True)
-            return
-        with self._lock:
-            self.edits = dict(saved.edits)
-            self.marks = {
-                entry.name: "out" if entry.episode in saved.left_out else "flag"
-                for entry in self.entries
-                if entry.episode in saved.left_out | saved.flagged
-            }
-            self._list()
-        self._say(f"loaded {name}")
-
-    def audit(self) -> tuple[tuple[str, Finding], ...]:
-        """Audit the run's bags, flag the episodes with faults, and list what was found; returns check and finding."""
-        from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
-
-        assert self.run is not None
-        self._say("auditing ...")
-        try:
-            checks = audit_dataset(self.run, None, AuditConfig(render=False, pictures=0)).result.checks
-        except RoboximError as error:
-            self._say(str(error), alert=True)
-            return ()
-        found = tuple((check.name, finding) for check in checks for finding in check.findings)
-        faulty = {name for check in checks for finding in check.faults for name in finding.episodes}
-        with self._lock:
-            for entry in self.entries:
-                if entry.episode in faulty:
-                    self.marks.setdefault(entry.name, "flag")
-            self._list()
-        shown = [f"{check}: {', '.join(one.episodes) or 'all'}: {one.text}" for check, one in found[:MOST_FINDINGS]]
-        more = [f"and {len(found) - MOST_FINDINGS} more"] if len(found) > MOST_FINDINGS else []
-        self._say("\n".join([*shown, *more]) or f"{len(checks)} checks found nothing")
-        return found
-
-    def save(self, name: str) -> Path | None:
-        """Save the selection; returns the file, or None if it is not possible, which the panel says."""
-        assert self.run is not None
-        ids = {entry.name: entry.episode or entry.name for entry in self.entries}
-        out = [ids[name] for name, mark in self.marks.items() if mark == "out"]
-        flagged = [ids[name] for name, mark in self.marks.items() if mark == "flag"]
-        text = selection_text(out, flagged, self.run.name, len(self.entries), self.edits.values())
-        try:
-            file = save_selection(self._folder, name, text)
-        except (RoboximError, OSError) as error:
-            self._measured.content = markup.paragraph(str(error), "selection", alert=True)
-            return None
-        self._measured.content = markup.paragraph(
-            f"saved as {file.name}\nroboxim export lerobot {self.run.name} --where @{file.name} --out ...", "selection"
-        )
-        return file
-
-    def _save(self) -> None:
-        self.save(str(self._name.value))
 
     # ---------------------------------------------------------------- all together
 
@@ -408,14 +327,5 @@ class FilesPanel:
         self._plots.visible = True
 
     def _say(self, text: str, *, alert: bool = False) -> None:
-        self._told.content = markup.paragraph(text, "run-told", alert=alert)
-
-
-def _described(edit: Edit) -> str:
-    """Return an edit in words, by ticks."""
-    parts = [edit.episode]
-    if edit.steps:
-        parts.append(f"ticks {edit.steps[0]} to {edit.steps[1] + 1}")
-    if edit.instruction:
-        parts.append(f'"{edit.instruction}"')
-    return ", ".join(parts) if len(parts) > 1 else f"{edit.episode} whole, with its own instruction"
+        assert self.selection is not None
+        self.selection.say(text, alert=alert)

@@ -146,6 +146,17 @@
     if (held.delete(event.code)) { event.stopImmediatePropagation(); report(); show(); }
   }, true);
 
+  // An old or software WebGL can lose the picture; nothing else tells the person.
+  document.addEventListener("webglcontextlost", () => {
+    state.alert = "The browser has lost its 3D picture. Reload the page: nothing is lost.";
+    show();
+  }, true);
+  const hide = setInterval(() => {  // viser's notice on software WebGL covers a corner until it is closed
+    const note = [...document.querySelectorAll(".mantine-Notification-root")].find((one) => one.innerText.includes("Software WebGL"));
+    if (note) { clearInterval(hide); setTimeout(() => note.querySelector("button")?.click(), 8000); }
+  }, 1000);
+  setTimeout(() => clearInterval(hide), 30000);
+
   window.addEventListener("resize", show);
   window.addEventListener("blur", release);
   document.addEventListener("visibilitychange", () => { if (document.hidden) { leaveMouse(); release(); } });
