@@ -88,7 +88,7 @@ class DrivePanel:
         self._opening = 1.0
         self._pressed: dict[int, frozenset[str]] = {}
         self._owed: Steering | None = None
-        self._served = False
+        self._served = self._moving = False
         self._plumb: Any = None
         self._verdict = ""
         self._ending = ""
@@ -237,10 +237,12 @@ class DrivePanel:
                 said = Steering.of_message(message)
                 before, now = self._pressed.get(page, frozenset()), said.once()
                 self._pressed[page] = now
-                if any(said.directions()):
-                    self._owed = said
-                elif self._served:
-                    self._owed, self._served = None, False
+                moving = any(said.directions())
+                if moving:
+                    self._owed, self._served = said, self._served and self._moving
+                elif self._served:  # a tick was made of what is released; one that came between two ticks is still owed
+                    self._owed = None
+                self._moving = moving
         if "held" in message:
             for code in now - before:
                 self.key(code)
