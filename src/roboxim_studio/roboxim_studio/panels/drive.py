@@ -145,6 +145,7 @@ class DrivePanel:
             partner = None if chosen == NOBODY else Partner(chosen, self._lab.actor(chosen))
             draw, after = self._scene(seed)
             self._view.load(draw.scene)
+            self._view.hide_cameras(True)  # the wrist's picture would hide what the gripper is above
             self._judging = []
             drive = Drive(self._lab.graph, draw, seed, self.bags, on_tick=self._shown, partner=partner, after=after)
         except RoboximError as error:
@@ -200,6 +201,7 @@ class DrivePanel:
 
     def _stop_driving(self) -> None:
         with self._lock:
+            self._view.hide_cameras(False)
             if self._gizmo is not None:
                 self._gizmo.remove()
                 self._gizmo = None
