@@ -33,7 +33,10 @@ ALLOWED = {
     "roboxim_cli": EVERY_ROOM | {"roboxim_bringup", "roboxim_runs", "roboxim_studio"},
     "roboxim": {"roboxim_core", "roboxim_bringup", "roboxim_runs", "roboxim_studio", "roboxim_cli", "roboxim_policies"},
 }
-ROS_FREE_KIT = {f"roboxim_ros.messages.{name}" for name in ("conversions", "packing", "schemas", "serialising")}
+ROS_FREE_KIT = {
+    "roboxim_ros.peer_user",
+    *(f"roboxim_ros.messages.{name}" for name in ("conversions", "packing", "schemas", "serialising")),
+}
 """Modules of the node kit that need no rclpy, so that a core may use them."""
 
 
