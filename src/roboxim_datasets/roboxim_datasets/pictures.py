@@ -32,6 +32,8 @@ class PictureHead:
     """Its size."""
     deep: bool
     """Whether it has more than 8 bits a channel, as depth images do."""
+    alpha: bool = False
+    """Whether it says of its pixels how opaque they are, which is not read."""
 
 
 def head_of(data: bytes) -> PictureHead:
@@ -45,6 +47,7 @@ def head_of(data: bytes) -> PictureHead:
             warnings.simplefilter("ignore")  # of its size, which is checked here
             with Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "WEBP", "BMP", "TIFF")) as picture:
                 width, height, mode = picture.width, picture.height, picture.mode
+                alpha = mode.endswith(("A", "a")) or "transparency" in picture.info
     except Exception as error:
         if isinstance(error, Image.DecompressionBombError):
             raise _bad(f"a picture claims more than {MOST_PIXELS} pixels") from None
@@ -53,7 +56,7 @@ def head_of(data: bytes) -> PictureHead:
         raise _bad(f"a picture claims {width} x {height} pixels; at most {MOST_PIXELS} are read")
     if width * height > max(_ALWAYS_READ, _MOST_PER_BYTE * len(data)):
         raise _bad(f"a picture claims {width} x {height} pixels, which its {len(data)} bytes cannot hold")
-    return PictureHead(size=ImageSize(height=height, width=width), deep=mode.startswith(_WIDE))
+    return PictureHead(size=ImageSize(height=height, width=width), deep=mode.startswith(_WIDE), alpha=alpha)
 
 
 def _head_of_size(data: bytes, expected: ImageSize | None) -> PictureHead:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, printable
 from roboxim_core.plain_data.documents import parse_json, read_json_object
 from roboxim_datasets.account import Account
 from roboxim_datasets.dataset import Dataset, Description, Features
@@ -27,6 +27,7 @@ from roboxim_datasets.hdf5.tree import text_of as _text
 _SPLITS = {mask: split for split, mask in MASKS.items()}
 _ORDER = ("train", "val", "test")
 _REPEATED = {"dones": "the last step of an episode", "num_samples": "the number of actions"}
+_SUCCESS = "success"
 _READ_ATTRIBUTES = ("ep_meta", "instruction", "success", ATTRIBUTE)
 
 
@@ -114,7 +115,9 @@ class Hdf5Dataset(Dataset):
             cameras=layout.cameras,
             vectors=layout.vectors,
             depth=layout.depth,
-            outcomes=all("success" in data[name].attrs for name in found if name not in self._unread),
+            outcomes=all(
+                _success(data[name], of) is not None for name, of in found.items() if name not in self._unread
+            ),
             fps=finite_rate(self._environment.get("control_freq")),
             robot=str(self._attributes.get("robot") or ""),
         )
@@ -227,14 +230,16 @@ class Hdf5Dataset(Dataset):
             attached = attributes(group)
             own = _object(attached.get(ATTRIBUTE, ""))
             length = len(numbers(group.get("actions"), f"{where}, 'actions'", len(_array(group, "actions", where))))
-            rewarded = solved(numbers(group["rewards"], f"{where}, 'rewards'", length)) if _readable(group) else None
+            stated = _success(group, arrays(leaves(group)))
+            if stated is None and "success" not in attached and _readable(group):
+                stated = solved(numbers(group["rewards"], f"{where}, 'rewards'", length))
         instructions, subtasks = own.get("instructions"), own.get("subtasks")
         return self.description.episode(
             length=length,
             instruction=self._instruction(attached),
             instructions=[str(text) for text in instructions] if isinstance(instructions, list) else (),
             subtasks=[str(text) for text in subtasks] if isinstance(subtasks, list) else (),
-            success=_flag(attached["success"]) if "success" in attached else rewarded,
+            success=stated,
             metadata=own,
             name="" if ATTRIBUTE in self._attributes else demo,
             read=lambda wanted: self._steps(demo, length, wanted),
@@ -351,7 +356,10 @@ class Hdf5Dataset(Dataset):
         for attribute in attributes(demo):
             shown = f"demo.attrs[{attribute}]"
             account.holds("metadata", shown)
-            if attribute in _REPEATED:
+            if attribute == "num_samples" and _said(demo, attribute) not in ("", str(length)):
+                why = f"it says {_said(demo, attribute)}, there are {length} actions"
+                account.leaves_out("metadata", shown, why, 1)
+            elif attribute in _REPEATED:
                 account.implies("metadata", shown, _REPEATED[attribute], 1)
             elif attribute in _READ_ATTRIBUTES and name not in self._unread:
                 account.reads("metadata", shown, 1)
@@ -368,6 +376,8 @@ class Hdf5Dataset(Dataset):
                 account.leaves_out("key", path, "after the last action", array.length - length)
             elif path == "rewards" and not array.problem:
                 account.reads("key", path, length, changed="" if own else changed(path, array))
+            elif path == _SUCCESS and not own and array.length == length and _is_flag(array):
+                account.reads("key", path, length, changed="what its last step says")
             elif path in (INSTRUCTIONS, SUBTASKS) and own:
                 account.reads("key", path, array.length)
             elif path == "dones" and own:
@@ -379,6 +389,25 @@ class Hdf5Dataset(Dataset):
                     self._why_no_depth(array) if is_depth(path, array) else f"most episodes have no such '{last}'"
                 )
                 account.leaves_out("key", path, f"{why} ({array.dtype}, {_shown(array.shape)})", array.length)
+
+
+def _said(demo: Any, attribute: str) -> str:
+    return printable(attributes(demo).get(attribute, "").strip("[] "), 40)
+
+
+def _is_flag(array: Array) -> bool:
+    return not array.problem and array.size == 1 and array.dtype.startswith(("bool", "int", "uint", "float"))
+
+
+def _success(demo: Any, found: Mapping[str, Array]) -> bool | None:
+    """Return what an episode says of its success: an attribute, or the last step of an array; None: neither does."""
+    said = attributes(demo)
+    if _SUCCESS in said:
+        return _flag(said[_SUCCESS])
+    array, actions = found.get(_SUCCESS), found.get("actions")
+    if array is None or actions is None or not actions.length or array.length != actions.length or not _is_flag(array):
+        return None
+    return bool(numbers(demo[_SUCCESS], f"'{_SUCCESS}'", array.length)[-1, 0] > 0)
 
 
 def _shown(shape: tuple[int, ...]) -> str:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from roboxim_core.errors import printable
 from roboxim_datasets.account import Account
-from roboxim_datasets.files import files_below, has_file
+from roboxim_datasets.files import files_below, has_file, reading
 from roboxim_datasets.lerobot import tables
-from roboxim_datasets.lerobot.columns import peek
+from roboxim_datasets.lerobot.columns import floats, peek
 from roboxim_datasets.lerobot.layout import (
     DEPTH_UNIT_M,
     INDEX_COLUMNS,
@@ -16,6 +18,12 @@ from roboxim_datasets.lerobot.layout import (
     SUBTASK_INDEX,
 )
 from roboxim_datasets.lerobot.meta import TIMESTAMP, LeRobotMeta
+from roboxim_datasets.lerobot.parquet_file import open_parquet
+from roboxim_datasets.lerobot.tables import Rows
+from roboxim_datasets.pictures import head_of
+
+_SAME_TIME_S = 1e-3
+_ROUNDED = 1e-6  # of a time, as float32
 
 
 def take_stock(account: Account, meta: LeRobotMeta, *, own: bool, unusable: str) -> None:
@@ -44,12 +52,16 @@ def take_stock(account: Account, meta: LeRobotMeta, *, own: bool, unusable: str)
         account.leaves_out("row", name, "no episode of meta/episodes has them")
         if rows.task is not None:
             taken |= set(np.unique(rows.task).tolist())
-        for key in columns:
+        off, most = (0, 0.0) if own or TIMESTAMP not in columns else _off_the_clock(meta, name, rows)
+        why = f"not frame_index / {float(meta.fps):g} Hz, by up to {most:.3g} s; a new dataset has even times"
+        for key, first in columns.items():
             account.holds("key", key, rows.count)
+            if key == TIMESTAMP:
+                account.leaves_out("key", key, why, off)
             if key in INDEX_COLUMNS and key != TIMESTAMP or key == content.names.done:
                 account.implies("key", key, "the order of the rows", rows.count)
             elif key in read and key not in meta.unread:
-                account.reads("key", key, lengths.get(name, 0), "" if own else _changed(meta, key))
+                account.reads("key", key, lengths.get(name, 0), "" if own else _changed(meta, key, first))
                 account.leaves_out("key", key, "in rows of no episode", rows.count - lengths.get(name, 0))
             else:
                 account.leaves_out("key", key, meta.unread.get(key, "meta/info.json does not name it"), rows.count)
@@ -101,8 +113,30 @@ def _take_stock_of_episodes(account: Account, meta: LeRobotMeta) -> None:
             account.implies("metadata", name, "the table of episodes")
 
 
-def _changed(meta: LeRobotMeta, key: str) -> str:
-    dtype = str(meta.features[key]["dtype"])
+def _off_the_clock(meta: LeRobotMeta, name: str, rows: Rows) -> tuple[int, float]:
+    """Return how many times of a data file are not those of their frames, and by how much at most [s]."""
+    if rows.frame is None:
+        return 0, 0.0
+    with reading(meta.path / name):
+        times = floats(open_parquet(meta.path, name).read(columns=[TIMESTAMP]), TIMESTAMP, 1, name)[:, 0].astype(float)
+    apart = np.abs(times - rows.frame / float(meta.fps))
+    off = ~(apart <= _SAME_TIME_S + _ROUNDED * np.abs(times))
+    return int(off.sum()), float(apart[off].max(initial=0.0))
+
+
+def _changed(meta: LeRobotMeta, key: str, first: Any = None) -> str:
+    """Return how what is read of a column differs from what it holds.
+
+    Args:
+        meta: What the dataset says of itself.
+        key: The column.
+        first: Its first value, if it holds images.
+    """
+    dtype, shape = str(meta.features[key]["dtype"]), meta.shape(key)
+    if dtype == "image" and isinstance(first, dict) and first.get("bytes") and head_of(first["bytes"]).alpha:
+        return "pictures with an alpha channel, read without it"
+    if len(shape) > 1 and dtype not in ("image", "video"):
+        return f"{dtype} of shape {shape}, read as a vector of float32"
     if key in meta.content.depth:
         if levels := meta.levels(key):
             return str(levels)

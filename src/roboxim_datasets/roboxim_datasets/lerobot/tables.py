@@ -251,11 +251,17 @@ def texts_of(folder: Path, names: tuple[str, str], version: str) -> dict[int, st
         with reading(folder / file):
             table = open_parquet(folder, file).read()
             texts = next(name for name in (text, *table.column_names) if name in table.column_names and name != index)
-            numbers = table.column(index).to_pylist()
-            return {
-                int(number): str(text) for number, text in zip(numbers, table.column(texts).to_pylist(), strict=True)
-            }
-    return {_count(row, index, file): str(row.get(text, "")) for row in json_lines(folder, file)}
+            numbers = [int(number) for number in table.column(index).to_pylist()]
+            found = list(zip(numbers, table.column(texts).to_pylist(), strict=True))
+    else:
+        found = [(_count(row, index, file), row.get(text)) for row in json_lines(folder, file)]
+    by_number: dict[int, str] = {}
+    for number, said in found:
+        named = "" if said is None else str(said)
+        if by_number.setdefault(number, named) != named:
+            texts = f"'{printable(by_number[number], 80)}' and '{printable(named, 80)}'"
+            raise damaged(f"{folder / file}: {index} {number} is {texts}, expected one text of a number")
+    return by_number
 
 
 def rows_of(folder: Path, name: str) -> Rows:

@@ -10,11 +10,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of, printable
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_datasets.account import Account, Kind
 from roboxim_datasets.dataset import Dataset, Description, Features
-from roboxim_datasets.episode import BETWEEN_ROBOTS, Episode, ImageSize
+from roboxim_datasets.episode import BETWEEN_ROBOTS, Episode, ImageSize, Step, Wanted
 from roboxim_datasets.files import file_in, reading
 from roboxim_datasets.pictures import head_of
 from roboxim_datasets.rlds.episodes import camera_keys, component_names_of, from_rlds
@@ -28,7 +30,14 @@ from roboxim_datasets.rlds.format import (
     reason_not_read,
 )
 from roboxim_datasets.rlds.loader_files import STATISTICS_FILE, loading_text
-from roboxim_datasets.rlds.tfrecord import SMALLEST, example_keys, read_record, read_records, record_positions
+from roboxim_datasets.rlds.tfrecord import (
+    SMALLEST,
+    decode_example,
+    example_keys,
+    read_record,
+    read_records,
+    record_positions,
+)
 
 INFO_FILE = "dataset_info.json"
 FEATURES_FILE = "features.json"
@@ -188,8 +197,17 @@ class RldsDataset(Dataset):
 
     def read(self, split: str, index: int) -> Episode:
         """Read an episode of a split."""
-        with reading(f"{self.path}, {split}[{index}]"):
-            return from_rlds(self.reader.record(split, index), self._features)
+        where = f"{self.path}, {split}[{index}]"
+        with reading(where):
+            episode = from_rlds(self.reader.record(split, index), self._features)
+
+        def steps(wanted: Wanted) -> Iterator[Step]:
+            try:
+                yield from episode.read(wanted)
+            except RecorderError as error:
+                raise RecorderError(f"{where}, {error}", error.code) from None
+
+        return replace(episode, read=steps)
 
     @cached_property
     def _features(self) -> RldsFeatures:
@@ -253,7 +271,7 @@ class RldsDataset(Dataset):
             joint_names=episode.joint_names,
             semantics=episode.semantics,
             text=self.reader.text,
-            outcomes="success" in features.metadata,
+            outcomes=features.metadata.get("success") == "bool",  # another type can hold what says neither yes nor no
         )
 
     # -- what the files hold
@@ -272,14 +290,22 @@ class RldsDataset(Dataset):
                 with reading(f"{self.path}, {split}[{index}]"):
                     episode = decode_episode(payload, features)
                     keys = example_keys(payload)
+                    wrong = [key for key in _IMPLIED if key in keys and not _in_order(key, payload, len(episode))]
+                    broken = any("\ufffd" in text for text in (episode.instruction, *episode.instructions))
                 ids[str(episode.metadata.get("episode_id", ""))] += 1
                 account.holds("episode", f"{split}[{index}]")
                 for key in keys:
                     kind: Kind = "key" if key.startswith("steps/") else "metadata"
                     count = len(episode) if kind == "key" else 1
                     account.holds(kind, key, count)
-                    if key in read:
-                        account.reads(kind, key, count, "" if own or kind != "key" else _changed(leaves.get(key, {})))
+                    if key in wrong:
+                        last = key.removeprefix("steps/is_")
+                        account.leaves_out(kind, key, f"it is not true at the {last} step alone", count)
+                    elif key in read:
+                        how = "" if own or kind != "key" else _changed(leaves.get(key, {}))
+                        if key == features.instruction and broken:
+                            how = "bytes that are no UTF-8, read as \ufffd"
+                        account.reads(kind, key, count, how)
                     elif key in _IMPLIED or (own and key in _OWN_IMPLIED):
                         account.implies(kind, key, "the order of the steps", count)
                     else:
@@ -291,6 +317,12 @@ class RldsDataset(Dataset):
                     else ""
                 )
                 account.reads("episode", f"{split}[{index}]", changed=repeated * ("episode_id" in episode.metadata))
+
+
+def _in_order(key: str, payload: bytes, count: int) -> bool:
+    """Return whether a flag is true at the step alone that its name says."""
+    values = np.asarray(decode_example(payload, (key,)).get(key, ()))
+    return values.shape == (count,) and np.flatnonzero(values).tolist() == [0 if key.endswith("first") else count - 1]
 
 
 def _changed(leaf: Mapping[str, Any]) -> str:

@@ -33,7 +33,8 @@ SHOWN: dict[str, dict[str, str]] = {
         "a picture of another size than the description says": "test_lerobot_of_others",
     },
     "success": {
-        "`success` of an episode, `next.success`, rewards that are 0 and at the end 1": "test_what_says_that_it_solved",
+        "`success` of an episode or, in HDF5, of its last step": "test_success_of_each_step_is_that_of_the_last_one",
+        "`next.success`, rewards that are 0 and at the end 1": "test_what_says_that_it_solved",
         "everything else is *unknown*; no conversion turns unknown into a failure":
             "test_an_outcome_that_nobody_states_stays_unknown",
     },
@@ -51,6 +52,7 @@ SHOWN: dict[str, dict[str, str]] = {
         "several instructions in an episode": "test_several_tasks_of_an_episode_survive_every_format",
         "embeddings, depth, tensors of more than one dimension, `discount`": "test_what_rlds_leaves_out",
         "ids that repeat": "test_rlds_of_others_needs_its_rate_and_no_more",
+        "`is_first` and `is_last` that are not in order": "test_flags_of_rlds_that_are_not_in_order_are_named",
         "numbers of episodes that the shards cannot hold": "test_declared_sizes_are_not_believed",
         "damaged records, files that are no TFRecord": "test_damaged_records_are_refused",
     },
@@ -60,6 +62,7 @@ SHOWN: dict[str, dict[str, str]] = {
         "episodes that no split names (as `train`)": "test_episodes_that_no_split_names_are_read",
         "depth images and videos without a stated unit": "test_deep_images_are_named_not_narrowed",
         "texts, tasks of no step": "test_what_lerobot_leaves_out",
+        "times that are not `frame_index` / `fps`": "test_times_that_are_not_those_of_their_frames_are_named",
         "rows of no episode": "test_every_row_and_column_of_a_lerobot_dataset_is_accounted_for",
         "episodes without steps": "test_lerobot_of_others",
         "statistics with NaN": "test_statistics_that_are_not_finite_name_the_episode",
