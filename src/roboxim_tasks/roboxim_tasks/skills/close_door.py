@@ -4,7 +4,10 @@ Randomisation: the object's place, yaw and colour; how far the door is open; whe
 
 Success: the door is open by less than ``shut_rad`` and still, and the robot does not touch the object, for ``hold_s``.
 
-Non-obvious: the closed fingers push the handle's bar and turn with the door, as `close_drawer` pushes a drawer.
+Non-obvious:
+    - The closed fingers push the handle's bar and turn with the door, as `close_drawer` pushes a drawer.
+    - The hand's heading nearest to the present one comes first: after a larger turn the arm begins near its limits, and
+      the noise of a demonstration may then stop it.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.poses import distance
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
@@ -83,10 +87,10 @@ class CloseDoor(Skill):
         )
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-        """Approach the front of the handle with closed fingers, push it around, withdraw."""
+        """Approach the front of the handle with closed fingers, push it around, withdraw; least rotation first."""
         entity = scene.task.objects["target"].entity
         part = part_in(scene, entity, scene.model_of(entity).handles[0])
-        for grasp in part.grasps():
+        for grasp in sorted(part.grasps(), key=lambda grasp: round(distance(scene.pose_tcp, grasp)[1], 3)):
             yield pushed_shut(scene, entity, part, grasp)
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
