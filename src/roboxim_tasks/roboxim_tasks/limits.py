@@ -3,8 +3,9 @@
 They are recorded in the episodes of tasks that have ``limits``, at each tick for the episode so far. They change a
 verdict only where the task says so.
 
-Non-obvious: the judge knows states and no models, so a volume is entered by the tool centre point, or by the origin of
-an object that the robot touches; links of the arm are not looked at.
+Non-obvious: a volume is entered by any link of the arm or the gripper, by its collision shapes, or by the origin of an
+object that the robot touches. The generator writes into the limits which arm that is; in episodes from before it did,
+the tool centre point stands for the arm.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy.typing as npt
 
 from roboxim_core.config import from_json
 from roboxim_core.errors import ConfigError
+from roboxim_core.kinematics.volumes import link_volumes
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import Contact, StateRecord
 from roboxim_core.verdicts import LIMIT
@@ -32,7 +34,7 @@ SHORTEST = 5
 
 @dataclass(frozen=True, kw_only=True)
 class KeepOut:
-    """Box in the world that the tool is to keep out of."""
+    """Box in the world that the robot is to keep out of."""
 
     lower: tuple[float, float, float]
     """Least x, y, z [m]."""
@@ -66,7 +68,9 @@ class LimitsConfig:
     distractors: int = -1
     """Most distractors that the robot touches; -1: no limit."""
     keep_out: tuple[KeepOut, ...] = ()
-    """Volumes that the tool, and what the robot touches, keep out of."""
+    """Volumes that the robot, and what it touches, keep out of."""
+    robot: str = ""
+    """Robot of ``config/robots`` whose links keep out; set by the generator."""
     fail: bool = False
     """Whether an episode that crosses a limit has failed; otherwise the crossing is only recorded."""
 
@@ -110,8 +114,13 @@ class Limits:
         self._force_n = max([self._force_n, *(contact.force_max for contact in _of_robot(state))])
         self._touched |= {name for name, contact in touching.items() if contact.force_max > 0} & self._distractors
         places = [tcp, *(entity.pose.position for entity in state.entities if entity.name in touching)]
+        inside = any(box.holds(place) for box in limits.keep_out for place in places)
+        if limits.robot and not inside:
+            robot = state.robot
+            where = robot.joint_positions, robot.finger_positions, robot.pose_tcp_measured
+            inside = any(link_volumes(limits.robot).inside(*where, box.lower, box.upper) for box in limits.keep_out)
         tick_s = state.stamp_ns / 1e9 - (self._times[-1] if self._times else state.stamp_ns / 1e9)
-        self._inside_s += tick_s * any(box.holds(place) for box in limits.keep_out for place in places)
+        self._inside_s += tick_s * inside
         self._positions.append(tuple(tcp))
         self._times.append(state.stamp_ns / 1e9)
         return self._assessment()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, TaskSpec
@@ -80,6 +81,30 @@ def test_a_crossed_limit_fails_only_where_the_task_says_so(limits, reason):
     assert only_measured.predicates["limits.crossed"] == 1.0
     failed = measured(LimitsConfig(**limits, fail=True), *STATES)
     assert (failed.solved, failed.failed, failed.reason) == (False, True, reason)
+
+
+def test_an_elbow_in_a_volume_counts_while_the_tool_is_outside():
+    arm = ArmKinematics(ModelLibrary().robot("panda"))
+    home, base = arm.model.home, Pose(position=(0.1, 0.2, 0.0))
+    elbow, tcp = (base @ pose for pose in (arm.link_poses(home)["panda_link4"], arm.fk(home)))
+    around = KeepOut(lower=tuple(np.subtract(elbow.position, 0.05)), upper=tuple(np.add(elbow.position, 0.05)))
+    above = KeepOut(lower=(-1.0, -1.0, 1.2), upper=(1.0, 1.0, 1.4))
+
+    def at(seq: int) -> StateRecord:
+        robot = replace(STATES[0].robot, joint_positions=home, finger_positions=(0.04, 0.04), pose_tcp_measured=tcp)
+        return replace(STATES[0], seq=seq, stamp_ns=round(seq * TICK_S * 1e9), robot=robot)
+
+    for box, robot, inside_s in ((around, "panda", 0.1), (around, "", 0.0), (above, "panda", 0.0)):
+        found = measured(LimitsConfig(keep_out=(box,), robot=robot), at(0), at(1))
+        assert found.predicates["limits.keep_out_s"] == pytest.approx(inside_s)
+
+
+def test_a_task_that_keeps_out_names_its_arm():
+    drawn = SeedPath(run_seed=1, purpose="eval", index=0)
+    text = "skill: pick_up\nrobot: fr3\nlimits: {keep_out: [{lower: [0, 0, 0.4], upper: [1, 1, 1]}]}"
+    limits = limits_of(EpisodeGenerator(ModelLibrary()).task(drawn, parse_task_config(text)))
+    assert limits is not None
+    assert limits.robot == "fr3"
 
 
 def test_smoothness_of_a_minimum_jerk_motion_is_known():

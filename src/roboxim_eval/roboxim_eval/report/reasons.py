@@ -59,7 +59,7 @@ EXPLANATIONS = {
     "too_fast": "The tool moved faster than the task's limit allows.",
     "path_too_long": "The tool's path was longer than the task's limit allows.",
     "touched_distractors": "The robot touched more objects that the task is not about than its limit allows.",
-    "in_keep_out": "The tool, or what it moved, was in a volume that the task says to keep out of.",
+    "in_keep_out": "The robot, or what it moved, was in a volume that the task says to keep out of.",
     "left_workspace": "The tool left the workspace for good.",
     # errors: the policy, not the task
     "policy_fault": "The policy raised an error. The episode counts as failed.",

@@ -91,7 +91,10 @@ class EpisodeGenerator:
         )
         task = skill.generate(context)
         if cell.limits is not None:
-            task = replace(task, arguments=task.arguments | {LIMITS: to_json(cell.limits)})
+            limits = cell.limits
+            if limits.keep_out:
+                limits = replace(limits, robot=cell.base_scene().robot.model)
+            task = replace(task, arguments=task.arguments | {LIMITS: to_json(limits)})
         return replace(task, drawn=drawn | context.drawn(task))
 
     def sample(self, seed: SeedPath, config: TaskConfig | TaskMix) -> TaskSpec:
