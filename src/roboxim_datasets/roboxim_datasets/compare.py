@@ -186,7 +186,7 @@ def _common_names(a: Dataset, b: Dataset, ignore: Sequence[str], found: Comparis
         cameras=tuple(c for c in cameras if mine.cameras[c] == theirs.cameras[c]),
         depth=depth,
         segmentation=segmentation,
-        depth_apart_m=0.0 if a.format == b.format else 0.51 * DEPTH_UNIT_M,
+        depth_apart_m=0.0 if a.format == b.format and bool(a.facts) == bool(b.facts) else 0.51 * DEPTH_UNIT_M,
         executed=EXECUTED in signals,
         subtasks=mine.subtasks or theirs.subtasks,
     )

@@ -21,6 +21,7 @@ from made_foreign import CAMERA, EPISODES, SIDE, STEPS, lerobot30, png
 from PIL import Image
 
 from roboxim_core.errors import InvalidRequestError, RecorderError
+from roboxim_datasets.compare import compare
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.depth import camera_of
 from roboxim_datasets.formats import open_dataset
@@ -197,6 +198,12 @@ def test_a_video_of_depth_is_read_by_the_levels_that_lerobot_states(film: Path, 
     assert [part.why for part in written.changed if part.name == "depth of camera top"] == [
         "in units of 0.00025 m; 0 where it is beyond 8.19 m or unknown"
     ]
+
+
+def test_depth_of_another_tool_differs_by_the_rounding_of_lerobots_unit(film: Path, tmp_path: Path) -> None:
+    at = open_dataset(described(film, tmp_path / "a", {"video.depth_max": 5.0}))
+    made = converted(at, tmp_path / "b", "lerobot", LeRobotOptions(images=True))
+    assert not compare(at, made, images="exact").differences
 
 
 def test_a_video_of_distances_needs_their_unit(film: Path, tmp_path: Path) -> None:
