@@ -63,5 +63,6 @@ def home_of(name: str, folder: Path) -> npt.NDArray[np.float64]:
         return np.asarray(found[np.argmin(np.linalg.norm(off, axis=1) + off.max(axis=1))])
     raise ConfigError(
         f"{name}: no joint positions point the tool down above the table (tried x = 0.2 to 0.5 m from the base); "
-        "check base, flange and the mount of the gripper, or give home"
+        "check base, flange and the mount of the gripper, whose z axis must point out of the flange (if the flange's "
+        "x axis points out, --mount-rpy '0 1.5708 0' turns it), or give home"
     )

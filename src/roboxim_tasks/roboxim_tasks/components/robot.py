@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from roboxim_core.errors import ConfigError
-from roboxim_core.poses import Pose
+from roboxim_core.kinematics.arm import ArmKinematics, IkResult
+from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import SceneSpec
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
@@ -73,7 +76,22 @@ class RobotReset(ResetComponent):
                 context.record("robot.position", self.config.position, position)
                 context.record("robot.yaw_rad", self.config.yaw_rad, yaw)
                 return _with_joints(scene, found.joints.tolist(), opening)
-        raise RejectedError("robot_start_reachable")
+        raise RejectedError("robot_start_reachable", _unreached(arm, position, yaw, found))
+
+
+def _unreached(arm: ArmKinematics, position: Array, yaw: float, found: IkResult) -> str:
+    """Return how far from a start the arm stays."""
+    home = arm.fk(arm.model.home).position
+    place, at_home = (", ".join(f"{x:.2f}" for x in point) for point in (position, home))
+    if found.converged:
+        short = f"reaches it only within {LIMIT_MARGIN_RAD} rad of a joint's limit"
+    else:
+        turned = np.degrees(found.rotation_error_rad)
+        short = f"stays {100 * found.position_error_m:.1f} cm and {turned:.0f} degrees from it"
+    return (
+        f"'{arm.model.id}' {short}: reset.robot.position ({place}) in its base, tool down, yaw {yaw:.2f} rad; at home "
+        f"its tool is at ({at_home}): give a position near that, another reset.robot.yaw_rad, or reset.robot.joints"
+    )
 
 
 def _with_joints(scene: SceneSpec, joints: list[float], opening: float) -> SceneSpec:

@@ -204,7 +204,7 @@ class EpisodeGenerator:
         try:
             return _apply(replace(base, control_rate_hz=context.config.rate_hz), context, places=False)
         except RejectedError as error:
-            raise _infeasible(context, error.constraint, context.config.max_draws) from None
+            raise _infeasible(context, error.constraint, context.config.max_draws, error.cause) from None
 
     def _check(self, scene: SceneSpec, context: ResetContext) -> None:
         """Refuse a scene by the first constraint that it violates; the costly ones come last."""
@@ -243,13 +243,14 @@ def _apply(scene: SceneSpec, context: ResetContext, *, places: bool) -> SceneSpe
     return scene
 
 
-def _infeasible(context: ResetContext, constraint: str, draws: int) -> TaskError:
+def _infeasible(context: ResetContext, constraint: str, draws: int, cause: str = "") -> TaskError:
+    """Return the error of a task without a scene; ``cause`` says what no further draw of objects can change."""
     counted = ", ".join(f"{name} {count}" for name, count in context.rejections.most_common())
-    cause = _cause(context, constraint)
+    advice = "widen the area or volume that it depends on, or ask for fewer objects"
+    end = f"; {cause}" if cause else f"{_cause(context, constraint)}; {advice}"
     return TaskError(
         f"no scene for '{context.task.instruction}' in {draws} draws: constraint {constraint} refused most"
-        f"{f' ({counted})' if counted else ''}{cause}; widen the area or volume that it "
-        "depends on, or ask for fewer objects",
+        f"{f' ({counted})' if counted else ''}{end}",
         ErrorCode.RESET_INFEASIBLE,
     )
 

@@ -103,6 +103,14 @@ def test_what_cannot_be_placed_is_refused_by_the_constraint_s_name(draw):
         assert error.value.code == ErrorCode.RESET_INFEASIBLE
 
 
+def test_a_start_out_of_reach_says_how_far_and_where_the_arm_is_at_home(draw):
+    """A small arm's user read "ask for fewer objects", and no number."""
+    far = "reset: {robot: {position: {values: [[0.9, 0, 0.9]]}}}\nmax_draws: 3\n"
+    with pytest.raises(TaskError, match=r"stays \d+\.\d cm .* reset.robot.position \(0.90, 0.00, 0.90\)") as error:
+        draw(0, parse_task_config(far))
+    assert "fewer objects" not in str(error.value)
+
+
 def test_objects_are_not_placed_where_the_hand_starts(draw):
     """Wide things were drawn blindly, and the whole scene again until they left the hand alone."""
     text = (
