@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import subprocess
 import sys
@@ -16,11 +17,16 @@ import yaml
 from roboxim_bringup.core_graph import CoreActor, CoreGraph
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.seeds import SeedPath
 from roboxim_policies.builtin import ZeroPolicy
 from roboxim_recorder.bag import BagReader
 from roboxim_runs.assets.check import check
 from roboxim_runs.episodes.task_choice import task_text
+from roboxim_tasks import measures
 from roboxim_tasks.components import COMPONENTS
+from roboxim_tasks.config import parse_task_config
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
+from roboxim_tasks.script import Script
 from roboxim_tasks.skills import SKILLS, from_file
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "how-to" / "own_skill.md"
@@ -98,3 +104,27 @@ def test_a_skill_alone_in_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         solved = EpisodeRunner(cores.ports, config).run_index(0)
     assert solved.outcome == "success", solved
     assert "whole" in task_text(skill=f"{tmp_path / 'my_skill.py'}:Touch"), "the camera cuts the hand"
+
+
+def test_every_measure_and_every_move_is_in_the_tables() -> None:
+    text = DOCUMENT.read_text().partition("### Measures and moves")[2].partition("\n## ")[0]
+    helpers = {"above", "joint_value", "offset", "robot_forces", "seconds_between", "set_entity", "with_last"}
+    public = [
+        name
+        for owner in (measures, Script)
+        for name, made in vars(owner).items()
+        if inspect.isfunction(made) and made.__module__.startswith("roboxim_tasks.") and not name.startswith("_")
+    ]
+    assert {name for name in public if f"`{name}(" not in text} == helpers
+
+
+def test_the_example_of_an_own_camera_and_light_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = DOCUMENT.with_name("cameras.md").read_text()
+    for name, content in re.findall(r"^```yaml\n# (mine/\S+)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(content)
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path / "mine"))
+    config = parse_task_config(task_text("push_at_night"))
+    scene = EpisodeGenerator(ModelLibrary()).draw(SeedPath(run_seed=0, purpose="demo", index=0), config).scene
+    assert [camera.name for camera in scene.cameras] == ["workspace", "top", "wrist"]
+    assert [light.kind for light in scene.look.lights] == ["lamp", "lamp"]

@@ -250,5 +250,7 @@ def record(topics: tuple[str, ...], out: Path, duration: float | None, run_id: s
         click.echo(f"  left out: {text}")
     missing = [topic for topic in wanted if not recording.counts.get(topic)]
     click.echo(f"{sum(recording.counts.values())} messages in {out}")
+    if not missing:
+        click.echo(f'next: roboxim dataset convert lerobot {out} --instruction "what was done" --out {out}-lerobot')
     if missing:
         raise ConfigError(f"no message on {', '.join(missing)}")

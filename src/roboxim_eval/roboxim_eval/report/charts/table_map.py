@@ -17,7 +17,7 @@ from roboxim_eval.report.charts.heat_map import SHADES
 from roboxim_eval.report.charts.svg import drawing, element, link
 from roboxim_eval.report.episodes import any_of, episodes_link
 
-WIDTH, HEIGHT = 470.0, 260.0
+WIDTH, HEIGHT = 470.0, 230.0
 """Largest size of the picture's inner part [px]."""
 LEFT, BELOW, EDGE = 46.0, 40.0, 8.0
 """Space for the axes, and at the other two edges [px]."""
