@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.specs import CameraSpec
 from roboxim_recorder.bag import BagReader, BagTick
-from roboxim_runs.episodes.caption import BAND_PX, captioned
+from roboxim_runs.episodes.caption import captioned
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_tasks.skills import SKILLS
 
@@ -121,7 +121,7 @@ def save_core(file: Path) -> None:
         rows = [np.concatenate(now[i : i + len(CORE) // 2], axis=1) for i in (0, len(CORE) // 2)]
         pictures.append(Image.fromarray(np.concatenate(rows)[:-GAP, :-GAP]))
     more = [*pictures[1:], *[pictures[-1]] * 8]
-    pictures[0].save(file, save_all=True, append_images=more, duration=100 * EVERY, loop=0, quality=60, method=6)
+    pictures[0].save(file, save_all=True, append_images=more, duration=100 * EVERY, loop=0, quality=60, method=4)
 
 
 def picture(name: str, film: Film) -> Image.Image:
@@ -163,8 +163,9 @@ def run(text: str, film: Film, index: int, folder: str) -> BagReader:
 
 def titled(frame: Picture, text: str) -> Picture:
     """Return a reduced frame under a low line of text."""
-    whole = captioned(reduced(frame), text)
-    return np.concatenate([whole[18 : BAND_PX - 18], whole[BAND_PX:]])
+    line = Image.new("RGB", (SIZE, 28), "white")
+    ImageDraw.Draw(line).text((2, 4), text, "black", ImageFont.load_default(15))
+    return np.concatenate([np.asarray(line), reduced(frame)])
 
 
 def reduced(picture: Picture) -> Picture:
