@@ -23,6 +23,8 @@ from roboxim_studio.look.scene_view import wxyz
 BODY, ARM, PATH = (64, 192, 240), (240, 150, 60), (250, 176, 5)
 """Colours of obstacles, of the arm at the path's end, and of the path."""
 OPACITY = 0.35
+OUT_M = 0.002
+"""Distance by which shapes are larger in the view: two surfaces at one place flicker [m]."""
 
 
 class Ghost:
@@ -119,7 +121,9 @@ class Ghost:
         self.show_path(np.empty((0, 3)))
 
     def _mesh(self, name: str, triangles: npt.NDArray[np.float64], colour: tuple[int, int, int]) -> Any:
-        corners = triangles.reshape(-1, 3).astype(np.float32)
+        corners = triangles.reshape(-1, 3)
+        middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+        corners = (corners + OUT_M * np.sign(corners - middle)).astype(np.float32)
         return self._server.scene.add_mesh_simple(
             f"{self._root}/{name}", corners, np.arange(len(corners), dtype=np.uint32).reshape(-1, 3), color=colour,
             opacity=OPACITY, flat_shading=True, side="double", cast_shadow=False, receive_shadow=False,
