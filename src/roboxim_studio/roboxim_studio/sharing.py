@@ -1,16 +1,20 @@
-"""An episode as one HTML file that plays without a server and without a network."""
+"""An episode, or a scene, as one HTML file that plays without a server and without a network."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+from roboxim_core.config import digest
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.state import StateRecord
 from roboxim_core.whole_files import write_whole
 from roboxim_studio.episode.film import Film, ending, marks
 from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.panels import markup
 from roboxim_studio.serving.access import Access
 from roboxim_studio.serving.site import Site
+from roboxim_tasks.fixed_scene import FixedTask
 
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' data: blob:; style-src 'unsafe-inline'; "
@@ -69,17 +73,42 @@ def share(film: Film, library: ModelLibrary, file: Path) -> Path:
     return file
 
 
+def share_scene(document: FixedTask, state: StateRecord, library: ModelLibrary, file: Path) -> Path:
+    """Write a task's scene at its start as one HTML file; returns it.
+
+    Raises:
+        RoboximError: When its models are unknown.
+        OSError: When it cannot be written.
+    """
+    site, scene = Site(Access()), document.fixed.scene
+    try:
+        view = SceneView(site.viser, library)
+        recording = site.viser.get_scene_serializer()
+        view.load(scene)
+        view.show(state)
+        recording.insert_sleep(0.1)
+        page = recording.as_html()
+    finally:
+        site.close()
+    rows = [("instruction", document.fixed.instruction), ("skill", document.skill), ("scene", digest(scene))]
+    write_whole(file, _with_note(page, document.fixed.instruction, rows))
+    return file
+
+
 def _finished(page: str, film: Film) -> str:
     """Return the page with its policy, its title, and what a person should know of the episode."""
     info = film.info
-    facts = markup.facts(
-        [
-            ("instruction", info.task.instruction), ("actor", info.actor), ("outcome", ending(film)),
-            ("episode", info.episode_id), ("scene", film.states[0].scene_hash),
-            ("moments", ", ".join(f"{mark.seq} {mark.name}" for mark in marks(film))),
-        ]
-    )  # fmt: skip
-    title = markup.escaped(f"{info.task.instruction} - {ending(film)}")
+    rows: list[tuple[str, object]] = [
+        ("instruction", info.task.instruction), ("actor", info.actor), ("outcome", ending(film)),
+        ("episode", info.episode_id), ("scene", film.states[0].scene_hash),
+        ("moments", ", ".join(f"{mark.seq} {mark.name}" for mark in marks(film))),
+    ]  # fmt: skip
+    return _with_note(page, f"{info.task.instruction} - {ending(film)}", rows)
+
+
+def _with_note(page: str, words: str, rows: Sequence[tuple[str, object]]) -> str:
+    """Return a page with its policy, a title, and a table of facts."""
+    facts, title = markup.facts(rows), markup.escaped(words)
     policy = f'<head><meta http-equiv="Content-Security-Policy" content="{POLICY}">'
     note = f'<div id="episode" style="{NOTE_STYLE}">{facts}</div></body>'
     page = page.replace("<head>", policy, 1).replace("<title>Viser</title>", f"<title>{title}</title>", 1)

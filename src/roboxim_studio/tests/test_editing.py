@@ -54,6 +54,19 @@ def test_saved_yaml_gives_the_same_scene_hash_in_generation_and_evaluation(studi
         assert draw.task.objects["target"].modifiers["color"] == "blue"
 
 
+def test_a_scene_is_one_html_file_that_may_ask_nobody(editor, tmp_path):
+    editor._folder = tmp_path
+    editor.edit(lambda d: edits.with_instruction(d, "Pick up <b> the cube"))
+    file = editor.share("my_scene")
+    assert file == tmp_path / "my_scene.html"
+    page = file.read_text()
+    assert "Content-Security-Policy" in page
+    assert "Pick up &lt;b&gt; the cube" in page
+    assert "<b> the cube" not in page
+    assert str(tmp_path) not in page
+    assert editor.share("../evil") is None
+
+
 @pytest.mark.parametrize("name", ["../evil", "a/b", "", "x\0"])
 def test_files_stay_in_the_folder(editor, name, tmp_path):
     editor._folder = tmp_path / "inside"

@@ -18,12 +18,13 @@ from roboxim_core.specs import CameraSpec
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.bench import Bench
 from roboxim_studio.editing import document as edits
-from roboxim_studio.editing.desk import Desk
+from roboxim_studio.editing.desk import Desk, file_to_save
 from roboxim_studio.look.ghost import Ghost
 from roboxim_studio.look.scene_view import SceneView, wxyz
 from roboxim_studio.panels import markup
 from roboxim_studio.panels.editor_forms import CamerasForm, ObjectForm, RolesForm, RoomForm
 from roboxim_studio.serving.site import Site
+from roboxim_studio.sharing import share_scene
 from roboxim_tasks.fixed_scene import FixedTask
 
 HINT = "Click an object to select it; drag its arrows and its ring"
@@ -130,6 +131,9 @@ class EditorPanel:
         self._name = gui.add_text("Save as", initial_value="my_scene", hint=f"Into {self._folder.name}, as YAML")
         save = gui.add_button("Save")
         save.on_click(lambda _: self._save())
+        html = gui.add_button("Write it as one HTML file")
+        html.on_click(lambda _: self.share(str(self._name.value)) and None)
+        shown.append(html)
         self._saved = gui.add_html("")
         yaml_folder = gui.add_folder("YAML", expand_by_default=False)
         with yaml_folder:
@@ -165,6 +169,18 @@ class EditorPanel:
             f"roboxim generate --task {file.name}{warning}",
             "saved",
         )
+        return file
+
+    def share(self, name: str) -> Path | None:
+        """Write the scene as one HTML file; returns it, or None if it is not possible, which the panel says."""
+        assert self.desk is not None
+        try:
+            file = file_to_save(self._folder, name).with_suffix(".html")
+            share_scene(self.desk.document, self.desk.state(), self.library, file)
+        except (RoboximError, OSError) as error:
+            self._saved.content = markup.paragraph(str(error), "saved", alert=True)
+            return None
+        self._saved.content = markup.paragraph(f"written: {file.name}", "saved")
         return file
 
     def _save(self) -> None:
