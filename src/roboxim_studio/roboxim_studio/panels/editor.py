@@ -132,7 +132,7 @@ class EditorPanel:
         save = gui.add_button("Save")
         save.on_click(lambda _: self._save())
         html = gui.add_button("Write it as one HTML file")
-        html.on_click(lambda _: self.share(str(self._name.value)) and None)
+        html.on_click(lambda _: self._share())
         shown.append(html)
         self._saved = gui.add_html("")
         yaml_folder = gui.add_folder("YAML", expand_by_default=False)
@@ -182,6 +182,9 @@ class EditorPanel:
             return None
         self._saved.content = markup.paragraph(f"written: {file.name}", "saved")
         return file
+
+    def _share(self) -> None:
+        self.share(str(self._name.value))
 
     def _save(self) -> None:
         self.save(str(self._name.value))
