@@ -1,4 +1,4 @@
-"""Commands and groups of ``roboxim``: an option that does not repeat is given once, and old names still work.
+"""Commands and groups of ``roboxim``: an option that does not repeat is given once.
 
 Every command is made by `command` or `group` of this module, or is a command of such a group.
 """
@@ -6,7 +6,7 @@ Every command is made by `command` or `group` of this module, or is a command of
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import click
@@ -56,65 +56,24 @@ class Strict(click.Command):
 
 
 class Command(Strict):
-    """A command whose options or outputs had other names in the last version."""
+    """A command that may announce itself."""
 
-    def __init__(
-        self,
-        name: str | None = None,
-        *,
-        old: Mapping[str, str] | None = None,
-        old_output: int | None = None,
-        begins: str = "",
-        **attributes: Any,
-    ) -> None:
+    def __init__(self, name: str | None = None, *, begins: str = "", **attributes: Any) -> None:
         """Make the command.
 
         Args:
             name: Its name.
-            old: Old name of an option to its name.
-            old_output: Place of an output that was an argument, 0 or -1 among the inputs; now it is ``--out``.
-            begins: What a command with slow imports says at once, on the error stream.
+            begins: What a command with slow imports prints at once on the error stream.
             **attributes: As of click.
         """
         super().__init__(name, **attributes)
-        self.old = old or {}
-        self.old_output = old_output
         self.begins = begins
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Say what begins, and run the command."""
+        """Print what begins, and run the command."""
         if self.begins:
             click.echo(f"{self.begins} ...", err=True)
         return super().invoke(ctx)
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Translate old names with a warning, then parse.
-
-        Raises:
-            UsageError: As of `Strict.parse_args`.
-        """
-        for place, word in enumerate(args):
-            name, equals, value = word.partition("=")
-            if name in self.old:
-                args[place] = self.old[name] + equals + value
-                click.echo(f"warning: {name} is now {self.old[name]}; the next version refuses it", err=True)
-        if self.old_output is not None:
-            args = self._with_output(ctx, args)
-        return super().parse_args(ctx, args)
-
-    def _with_output(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Return the arguments with an output that was given among the inputs as ``--out``."""
-        assert self.old_output is not None
-        values, rest, _ = self.make_parser(ctx).parse_args(args=list(args))
-        [inputs] = [param for param in self.params if isinstance(param, click.Argument)]
-        given = values[inputs.name]
-        words = [*(given if isinstance(given, tuple) else [given]), *rest]
-        if values.get("out") or len(words) < 2:
-            return args
-        output = str(words[self.old_output])
-        place = args.index(output) if self.old_output == 0 else len(args) - 1 - args[::-1].index(output)
-        click.echo(f"warning: the output is now an option: --out {output}; the next version refuses it", err=True)
-        return [*args[:place], *args[place + 1 :], "--out", output]
 
 
 class Group(Strict, click.Group):

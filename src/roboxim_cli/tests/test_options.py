@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from roboxim_cli import strict
 from roboxim_cli.main import group
-from roboxim_cli.options import SHARED, option
+from roboxim_cli.options import SHARED
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_runs.datasets.export import TRAINERS, trainer_options
@@ -88,32 +88,10 @@ def test_shared_options_have_one_name_and_one_type(name):
             assert param.multiple == bool(shared.get("multiple")), f"roboxim {name} {word}"
 
 
-def test_outputs_are_options_and_old_spellings_warn(tmp_path):
+def test_outputs_are_options():
     for name, command in EVERY.items():
         arguments = [param.name for param in command.params if isinstance(param, click.Argument)]
         assert not {"out", "target", "output"} & set(arguments), f"roboxim {name} has its output among the arguments"
-
-    @strict.command(old={"--html": "--out"}, old_output=-1)
-    @click.argument("sources", nargs=-1, required=True)
-    @option("out", required=True)
-    @click.option("--where", multiple=True)
-    def merge(sources, out, where):
-        click.echo(f"{sources} {out} {where}")
-
-    def run(*words):
-        return CliRunner().invoke(merge, [str(word) for word in words])
-
-    new = run("a", "b", "--out", "c", "--where", "x")
-    assert (new.stdout, new.stderr) == ("('a', 'b') c ('x',)\n", "")
-    for words in (
-        ("a", "b", "c", "--where", "x"),
-        ("--where", "x", "a", "b", "--html", "c"),
-        ("a", "b", "--html=c", "--where=x"),
-    ):
-        old = run(*words)
-        assert old.stdout == new.stdout, words
-        assert "warning" in old.stderr
-    assert "'--out'" in run("a").stderr
 
 
 def test_several_skills_share_the_episodes():

@@ -136,7 +136,7 @@ def new_server(out: Path) -> None:
     click.echo(f"wrote {out}: derive a class from its Model, and call its serve()")
 
 
-@command.command("check", begins="checking the policy", old={"--sheet": "--out"})
+@command.command("check", begins="checking the policy")
 @click.option("--policy", "spec", type=Named("policy"), required=True, help="A remote policy: openpi, vla_eval, ...")
 @click.option(
     "-o", "--option", "options", multiple=True, metavar="KEY=VALUE",

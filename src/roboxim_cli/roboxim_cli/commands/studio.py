@@ -15,7 +15,7 @@ from roboxim_bringup.attach import run_option
 from roboxim_cli import strict
 
 
-@strict.command(begins="starting the studio", old={"--html": "--out"})
+@strict.command(begins="starting the studio")
 @click.argument("what", default="", metavar="[RUN | BAG | DATASET | REPORT | TASK]")
 @run_option
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port to listen at; 0: any free one.")

@@ -66,7 +66,7 @@ def show(name: str) -> None:
         click.echo(line)
 
 
-@command.command("sample", old={"--count": "--episodes"})
+@command.command("sample")
 @with_options(*task_options(), option("seed"))
 @option("episodes", default=10, help="Number of tasks.")
 @click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="Index of the first task.")

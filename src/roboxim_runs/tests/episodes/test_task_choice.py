@@ -92,4 +92,4 @@ def test_a_sample_equals_the_generated_tasks():
     for index, line in zip((2, 3, 4), lines, strict=True):
         seed = SeedPath(run_seed=7, purpose="demo", index=index)
         assert from_json(line, TaskSpec) == generator.sample(seed, config)
-    assert "Stack the" in roboxim("sample", "--skill", "stack", "--count", "1")
+    assert "Stack the" in roboxim("sample", "--skill", "stack", "--episodes", "1")

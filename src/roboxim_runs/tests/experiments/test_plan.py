@@ -166,7 +166,7 @@ def test_a_plan_measures_an_experiment_that_was_never_run_once(monkeypatch):
 
 def test_the_size_that_a_budget_buys_can_be_run(tmp_path):
     store_rates(OWN)
-    words = ["plan", "skill_object", "--scale", "laptop", "--budget", "8h", "--file", str(tmp_path / "mine.yaml")]
+    words = ["plan", "skill_object", "--scale", "laptop", "--budget", "8h", "--out", str(tmp_path / "mine.yaml")]
     text = CliRunner().invoke(command, words, catch_exceptions=False).stdout
     written = load_experiment(str(tmp_path / "mine.yaml"))
     replicates, rollouts = (int(number) for number in re.search(r"\((\d+) trainings, (\d+) rollouts", text).groups())

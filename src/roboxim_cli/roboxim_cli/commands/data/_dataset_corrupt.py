@@ -24,7 +24,7 @@ def _list_faults(context: click.Context, _: click.Parameter, value: bool) -> Non
     context.exit()
 
 
-@strict.command("corrupt", begins="planting faults", old_output=-1, old={"--rate": "--share"})
+@strict.command("corrupt", begins="planting faults")
 @click.argument("source", type=PATH)
 @option("out", required=True, help="Folder of the copy.")
 @click.option("--fault", required=True, metavar="NAME", help="Fault to plant; --list lists them.")

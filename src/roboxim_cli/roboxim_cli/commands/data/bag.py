@@ -74,7 +74,7 @@ def check(paths: tuple[Path, ...]) -> None:
         )
 
 
-@command.command("repair", old_output=-1, begins="repairing")
+@command.command("repair", begins="repairing")
 @click.argument("path", type=_bag)
 @option("out", help="Folder of the new bag; default: the one that the bag lies in.")
 @click.option("--judge", is_flag=True, help="When the result is lost, execute the saved actions again and judge them.")

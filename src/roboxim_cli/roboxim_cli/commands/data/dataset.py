@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -87,7 +86,7 @@ class _Formats(strict.Group):
             click.Option(["--overwrite"], is_flag=True, help="Replace an existing dataset."),
         ]  # fmt: skip
         return strict.Command(
-            cmd_name, params=params, callback=convert, short_help=doc, old_output=-1, begins="converting",
+            cmd_name, params=params, callback=convert, short_help=doc, begins="converting",
             help=f"{doc}\n\nThe same command continues an interrupted conversion. The source is only read.",
         )  # fmt: skip
 
@@ -158,7 +157,7 @@ def _convert(name: str, options: Any, source: Path, target: Path, **more: Any) -
     _print_written(written)
 
 
-@command.command("merge", old_output=-1, begins="merging")
+@command.command("merge", begins="merging")
 @click.argument("sources", type=_path, nargs=-1, required=True)
 @option("out", required=True, help="Folder of the dataset.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing dataset.")
@@ -174,7 +173,7 @@ def merge(sources: tuple[Path, ...], out: Path, overwrite: bool) -> None:
         _print_written(merge_datasets(sources, out, overwrite=overwrite, on_event=printer))
 
 
-@command.command("split", old_output=-1, begins="splitting")
+@command.command("split", begins="splitting")
 @click.argument("source", type=_path)
 @option("out", required=True, help="Folder of the dataset.")
 @click.option(
@@ -236,15 +235,3 @@ def _print_written(written: Any) -> None:
     click.echo(f"{written.path}: {splits}")
     for line in (*lines("note", written.changed), *lines("left out", written.left_out)):
         click.echo(line)
-
-
-@command.command("replay", hidden=True, context_settings={"ignore_unknown_options": True, "help_option_names": []})
-@click.argument("words", nargs=-1, type=click.UNPROCESSED)
-def replay(words: tuple[str, ...]) -> None:
-    """Replay a dataset, as this was called in the last version: DATASET [BAGS]... and options of ``roboxim replay``."""
-    from roboxim_cli.commands.data.replay import command as replay_sources
-
-    click.echo("warning: 'dataset replay' is now 'roboxim replay', with --bags; the next version refuses it", err=True)
-    inputs = list(itertools.takewhile(lambda word: not word.startswith("-"), words))
-    bags = [word for bag in inputs[1:] for word in ("--bags", bag)]
-    replay_sources.main([*inputs[:1], *bags, *words[len(inputs) :]], "roboxim replay", standalone_mode=False)

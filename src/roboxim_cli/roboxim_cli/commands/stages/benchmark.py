@@ -73,7 +73,7 @@ def _run_command(name: str) -> click.Command:
     return run
 
 
-@command.command(REPORT, begins="writing the report", old={"--html": "--out"})
+@command.command(REPORT, begins="writing the report")
 @click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False)
 @click.option(
     "--from", "card", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",

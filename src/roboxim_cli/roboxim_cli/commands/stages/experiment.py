@@ -51,7 +51,7 @@ def list_experiments() -> None:
         raise ConfigError("\n".join(known["broken"].values()))
 
 
-@command.command("plan", begins="planning", old={"--file": "--out"})
+@command.command("plan", begins="planning")
 @click.argument("name", type=Named("experiment"), default="")
 @click.option("--benchmark", default="", help="Plan all experiments of a benchmark of config/benchmark instead.")
 @option("scale")
@@ -225,7 +225,7 @@ def attest(out: Path) -> None:
     click.echo("publish this line before you train; the card of the run will name nonce and seed")
 
 
-@command.command("report", begins="writing the report", old={"--html": "--out"})
+@command.command("report", begins="writing the report")
 @click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False)
 @click.option(
     "--from", "card", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",
@@ -321,7 +321,7 @@ def _score_text(value: object) -> str:
     return "not measured"
 
 
-@command.command("compare", begins="comparing", old={"--html": "--out"})
+@command.command("compare", begins="comparing")
 @click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 @click.option("--condition", default="", help="Condition; default: the first one of the primary comparison.")
 @click.option("--where", type=click.Choice(["unseen", "seen", "all"]), default=None, help="Cells; default: as primary.")
@@ -363,7 +363,7 @@ def _pages_beside(html: Path, folders: Iterable[Path]) -> dict[str, str]:
     return {name: quote(os.path.relpath(page, start)) for name, page in pages.items() if page.exists()}
 
 
-@command.command("pack", begins="packing", old={"--file": "--out", "--most": "--largest"})
+@command.command("pack", begins="packing")
 @click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
 @option("out", help="File to write; default: FOLDER.tar.gz.")
 @click.option("--largest", default=200, show_default=True, type=click.IntRange(1), help="Largest size [MB].")

@@ -52,8 +52,6 @@ class _Formats(strict.Group):
             help=f"{doc}\n\n\b\nroboxim export {cmd_name} runs/demos --out runs/demos-{cmd_name}\n\n"
             "The same command continues an interrupted export.",
             begins="exporting",
-            old_output=-1,
-            old={"--cameras": "--camera"},
         )
 
 

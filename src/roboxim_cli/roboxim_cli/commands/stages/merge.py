@@ -10,7 +10,7 @@ from roboxim_cli import strict
 from roboxim_cli.options import option
 
 
-@strict.command(old_output=0, begins="merging")
+@strict.command(begins="merging")
 @click.argument("shards", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="SHARD...")
 @option("out", required=True, help="Folder of the whole run.")
 @click.option("--partial", is_flag=True, help="Merge although episodes are missing; the run's command adds them.")

@@ -59,7 +59,7 @@ def _training(family: str, config: str) -> Callable[[Callable[[], None]], click.
         made = train
         for one in reversed(options):
             made = one(made)
-        return command.command(family, begins="training", old={"--limit": "--episodes"})(made)
+        return command.command(family, begins="training")(made)
 
     return decorate
 
