@@ -6,10 +6,10 @@ import json
 
 import pytest
 from click.testing import CliRunner
+from planted_runs import recordings, repeatable_results
 
 from roboxim_cli.main import group
 from roboxim_core.errors import ConfigError
-from roboxim_runs.testing import recordings, repeatable_results
 
 TEXT = """
 about: Does a policy combine a skill and an object that it never saw together?

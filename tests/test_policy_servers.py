@@ -6,11 +6,11 @@ import os
 import signal
 
 import pytest
+from planted_runs import recordings, repeatable_results
 
 from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
 from roboxim_runs.events import EpisodeFinished, Notice
 from roboxim_runs.executors import LocalExecutor
-from roboxim_runs.testing import recordings, repeatable_results
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

@@ -9,13 +9,13 @@ import sys
 import time
 
 import pytest
+from planted_runs import add_ray_node, ray_cluster, recordings, repeatable_results
 
 from roboxim_ros.testing import PATIENCE_S
 from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
 from roboxim_runs.events import EpisodeFinished, Notice
 from roboxim_runs.executors.ray_cluster import RayExecutor
-from roboxim_runs.testing import add_ray_node, ray_cluster, recordings, repeatable_results
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

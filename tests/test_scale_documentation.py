@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 import yaml
+from planted_runs import recordings
 
 from roboxim_runs.episodes.generation import GenerationConfig, generate
-from roboxim_runs.testing import recordings
 
 TEXT = (Path(__file__).parents[1] / "docs" / "how-to" / "scale.md").read_text()
 ROBOXIM = str(Path(sys.executable).parent / "roboxim")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from planted_runs import recordings, repeatable_results
 
 from roboxim_recorder.export import export_bags
 from roboxim_recorder.export.rlds import ExportConfig
@@ -10,7 +11,6 @@ from roboxim_runs.datasets.rewriting import merge_datasets
 from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
 from roboxim_runs.storage.merging import merge_shards
-from roboxim_runs.testing import recordings, repeatable_results
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

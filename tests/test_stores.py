@@ -7,13 +7,13 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 from click.testing import CliRunner
+from planted_runs import recordings, repeatable_results
 
 from roboxim_cli.main import group
 from roboxim_core.errors import UnavailableError
 from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.events import EpisodeFinished
 from roboxim_runs.storage.store import local_sources
-from roboxim_runs.testing import recordings, repeatable_results
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

@@ -24,6 +24,7 @@ from threading import Thread
 
 import numpy as np
 from benchmarks._harness import Bench
+from planted_cards import planted_card, shipped
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_eval.experiments.card import Card
@@ -32,7 +33,6 @@ from roboxim_eval.report.episodes import Episode
 from roboxim_eval.report.evaluation import PolicyRun, Report, write_report
 from roboxim_eval.report.experiment import ExperimentPage, experiment_page
 from roboxim_eval.report.films import Film, film_strip
-from roboxim_eval.testing import planted_card, shipped
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 OPENED = """<script>addEventListener("load", () => requestAnimationFrame(() => requestAnimationFrame(() =>

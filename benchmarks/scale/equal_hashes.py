@@ -14,12 +14,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from benchmarks._harness import Bench
+from planted_runs import add_ray_node, ray_cluster, recordings, repeatable_results
 
 from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
 from roboxim_runs.events import EpisodeFinished, Event
 from roboxim_runs.executors.ray_cluster import RayExecutor
-from roboxim_runs.testing import add_ray_node, ray_cluster, recordings, repeatable_results
 
 SIZE = 64
 ROLLOUT_STEPS = 20

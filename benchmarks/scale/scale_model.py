@@ -15,11 +15,11 @@ from typing import Any
 
 import psutil
 from benchmarks._harness import Bench
+from planted_runs import ray_cluster
 
 from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.events import EpisodeFinished, Event
 from roboxim_runs.executors.ray_cluster import RayExecutor
-from roboxim_runs.testing import ray_cluster
 
 SIZE = 128
 NODES = (1, 2, 3, 4)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from planted_cards import planted_card, shipped
 
 from roboxim_eval.benchmark.card import BenchmarkCard, concluded_benchmark
 from roboxim_eval.experiments.card import Attestation, Card, CardEvaluation, CardExperiment, CardTraining
@@ -11,7 +12,6 @@ from roboxim_eval.experiments.card_checks import analysis_of, attestation_warnin
 from roboxim_eval.statistics.paired import Pairs, paired_difference
 from roboxim_eval.statistics.replicates import condition_difference, condition_ratio
 from roboxim_eval.statistics.tables import Arm, Count
-from roboxim_eval.testing import planted_card, shipped
 
 
 def listens(condition, cell, held_out=0.7, seen=0.8):

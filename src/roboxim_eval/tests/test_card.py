@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
+from planted_cards import planted_card, shipped
 
 from roboxim_core.config import load_yaml, named_config
 from roboxim_core.errors import ConfigError
@@ -18,7 +19,6 @@ from roboxim_eval.report.experiment import ExperimentPage, experiment_page
 from roboxim_eval.report.markdown import benchmark_markdown, experiment_markdown
 from roboxim_eval.report.models import models_page
 from roboxim_eval.report.scores import score_rows
-from roboxim_eval.testing import planted_card, shipped
 
 
 def rate(condition, cell, u=0.4, s=0.8):

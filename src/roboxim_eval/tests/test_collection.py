@@ -3,13 +3,13 @@
 import json
 
 import pytest
+from planted_cards import SKILL_AND_OBJECT, experiment_of, planted_card
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import design_of, experiment_config
 from roboxim_eval.experiments.collection import next_round, shared_out
 from roboxim_eval.experiments.config import ExperimentConfig
-from roboxim_eval.testing import SKILL_AND_OBJECT, experiment_of, planted_card
 
 TEXT = (
     SKILL_AND_OBJECT

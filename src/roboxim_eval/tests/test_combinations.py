@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from planted_cards import experiment_of, planted_card
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.errors import ConfigError
@@ -15,7 +16,6 @@ from roboxim_eval.experiments.config import ExperimentConfig
 from roboxim_eval.report.experiment import ExperimentPage, experiment_page
 from roboxim_eval.statistics.tables import Arm, Count
 from roboxim_eval.statistics.trend import trend
-from roboxim_eval.testing import experiment_of, planted_card
 
 TEXT = """
 about: How many combinations are enough?

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from planted_cards import RATES
 
 from roboxim_core.config import load_yaml, named_config
 from roboxim_core.errors import ConfigError, InvalidRequestError
@@ -22,7 +23,6 @@ from roboxim_eval.statistics.components import (
 )
 from roboxim_eval.statistics.replicates import condition_difference
 from roboxim_eval.statistics.tables import Arm, Count
-from roboxim_eval.testing import RATES
 
 RESULTS = Path(__file__).parents[3] / "docs/results"
 PUBLISHED = {

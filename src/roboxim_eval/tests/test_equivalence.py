@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from planted_cards import shipped
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_eval.experiments.analysis import Outcomes, analyse
@@ -15,7 +16,6 @@ from roboxim_eval.statistics.rates import success_rate
 from roboxim_eval.statistics.replicates import ConditionDifference, condition_difference
 from roboxim_eval.statistics.tables import Arm, Count
 from roboxim_eval.statistics.verdicts import checkpoint_verdict, condition_verdict
-from roboxim_eval.testing import shipped
 
 MARGIN = 0.10
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from planted_cards import RATES, experiment_of
 
 from roboxim_core.config import digest, from_plain, parse_yaml, to_plain
 from roboxim_core.errors import ConfigError
@@ -31,7 +32,6 @@ from roboxim_eval.statistics.paired import Pairs, paired_difference
 from roboxim_eval.statistics.power import Design as Size
 from roboxim_eval.statistics.power import detectable
 from roboxim_eval.statistics.tables import Count
-from roboxim_eval.testing import RATES, experiment_of
 
 TEXT = """
 about: Do policies combine a skill and an object that they never saw together?

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from planted_cards import planted_card, shipped
 from scipy.stats import ttest_ind
 
 from roboxim_core.config import load_yaml, named_config
@@ -18,7 +19,6 @@ from roboxim_eval.report.models import models_page
 from roboxim_eval.statistics.multiple import compact_letters
 from roboxim_eval.statistics.paired import newcombe
 from roboxim_eval.statistics.rates import success_rate
-from roboxim_eval.testing import planted_card, shipped
 
 RESULTS = Path(__file__).parents[3] / "docs/results"
 

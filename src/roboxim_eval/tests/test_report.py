@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from planted_cards import planted_card, shipped
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import InvalidRequestError
@@ -25,7 +26,6 @@ from roboxim_eval.report.reasons import EXPLANATIONS, explained
 from roboxim_eval.statistics import factors
 from roboxim_eval.statistics.factors import Trial, factor_effects
 from roboxim_eval.statistics.rates import error_line, failure_reasons, is_measured, rate_of, success_rate
-from roboxim_eval.testing import planted_card, shipped
 
 
 def result(index, outcome="success", reason="", instruction="Pick up the red cube"):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from planted_cards import planted_card, shipped
 
 import roboxim_eval
 from roboxim_core.episode import EpisodeResult
@@ -21,7 +22,6 @@ from roboxim_eval.report.benchmark import benchmark_page
 from roboxim_eval.report.episodes import Episode, checkpoint_arm
 from roboxim_eval.report.experiment import ExperimentPage, experiment_page
 from roboxim_eval.report.models import models_page
-from roboxim_eval.testing import planted_card, shipped
 
 SCRIPT = Path(roboxim_eval.__file__).parent / "templates/page.js"
 BROWSER = """

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from planted_cards import planted_card
 
 from roboxim_core.config import load_yaml, named_config, to_plain
 from roboxim_core.errors import ConfigError
@@ -14,7 +15,6 @@ from roboxim_eval.experiments.cells import cells_of
 from roboxim_eval.experiments.rotation import held_out_sets, joined, rotated
 from roboxim_eval.statistics.rotated import Part, rotated_score
 from roboxim_eval.statistics.tables import Arm, Count
-from roboxim_eval.testing import planted_card
 
 
 def laptop(name="skill_object"):

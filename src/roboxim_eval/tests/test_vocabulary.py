@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 import pytest
+from planted_cards import shipped
 
 from roboxim_eval.experiments.cells import cells_of
 from roboxim_eval.experiments.config import ConditionConfig
 from roboxim_eval.report.vocabulary import NEW_COMBINATION, NEW_OBJECT, NEW_PAIR, Names, vocabulary
-from roboxim_eval.testing import shipped
 
 
 def test_other_suites_have_no_name_for_missing_words_and_late_answers():

@@ -7,13 +7,13 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
+from planted_cards import SKILL_AND_OBJECT
 
 from roboxim_bringup.testing import graph, graph_parameters
 from roboxim_core.config import parse_yaml
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import RoboximError
 from roboxim_eval.experiments.proving.proofs import Tally
-from roboxim_eval.testing import SKILL_AND_OBJECT
 from roboxim_ros.testing import runtime
 from roboxim_runs.experiments import stages as experiment_stages
 from roboxim_runs.experiments.run import ExperimentRunConfig

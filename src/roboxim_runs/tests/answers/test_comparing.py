@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
+from planted_causes import DEFECTS, RELEASE_M, Defective
 
 from roboxim_bringup.core_graph import CoreActor
 from roboxim_core.episode import RunConfig
@@ -14,7 +15,6 @@ from roboxim_eval.answers.moments import SceneComparison, events_of, first_succe
 from roboxim_runs.answers.comparing import CompareRun, compare
 from roboxim_runs.answers.trying import TryBench
 from roboxim_runs.episodes.task_choice import task_text
-from roboxim_runs.policies.planted_causes import DEFECTS, RELEASE_M, Defective
 
 IMAGES = RunConfig(image_width=64, image_height=64)
 NEAR = 3

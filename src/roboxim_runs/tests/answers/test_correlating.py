@@ -4,6 +4,7 @@ import json
 
 import pytest
 from click.testing import CliRunner
+from planted_runs import PLANTED_RATES, planted_folder
 
 from roboxim_cli.main import group
 from roboxim_core.config import to_plain
@@ -13,7 +14,6 @@ from roboxim_runs.answers.correlating import correlated, read_results
 from roboxim_runs.evaluation.report import RECORD_FILE, EvaluationRecord
 from roboxim_runs.experiments.report import folder_card
 from roboxim_runs.storage.folder import RunFolder
-from roboxim_runs.testing import PLANTED_RATES, planted_folder
 
 REAL = """policy,cell,successes,trials
 bc,can,8,10

@@ -6,6 +6,7 @@ import time
 
 import pytest
 import yaml
+from planted_causes import FailsWhere
 
 from roboxim_bringup.core_graph import CoreActor
 from roboxim_core.config_folders import named_config
@@ -17,7 +18,6 @@ from roboxim_runs.answers.changes import changes_of
 from roboxim_runs.answers.explaining import ExplainConfig, explain
 from roboxim_runs.answers.measures import scene_measures
 from roboxim_runs.answers.trying import TryBench
-from roboxim_runs.policies.planted_causes import FailsWhere
 
 CHANGED = {
     "paraphrases": True,

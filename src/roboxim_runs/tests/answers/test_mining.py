@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import yaml
+from planted_causes import FailsWhere
 
 from roboxim_bringup.core_graph import CoreActor
 from roboxim_core.config import parse_yaml
@@ -13,7 +14,6 @@ from roboxim_eval.answers.regions import SearchConfig
 from roboxim_runs.answers.mining import MineConfig, at_point, factors_of, mine
 from roboxim_runs.answers.trying import TryBench
 from roboxim_runs.episodes.task_choice import task_text
-from roboxim_runs.policies.planted_causes import FailsWhere
 
 
 def test_ranges_of_a_task_are_its_factors():

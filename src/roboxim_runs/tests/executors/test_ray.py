@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import psutil
 import pytest
 from click.testing import CliRunner
+from planted_runs import add_ray_node, ray_cluster
 
 from roboxim_bringup.graph import PolicyLaunch
 from roboxim_cli.main import group
@@ -26,7 +27,6 @@ from roboxim_runs.executors import CancelledError, Done, Job, LocalExecutor, Los
 from roboxim_runs.executors.ray_cluster import RayExecutor
 from roboxim_runs.policies.server_worker import POLICY_KEY
 from roboxim_runs.policies.servers import PolicyServers
-from roboxim_runs.testing import add_ray_node, ray_cluster
 
 WORKER = """
 import os

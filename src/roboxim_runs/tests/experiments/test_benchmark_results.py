@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from planted_runs import PLANTED_RATES, planted_folder
 
 from roboxim_cli import options
 from roboxim_cli.commands.stages.benchmark import command as benchmark_command
@@ -29,7 +30,6 @@ from roboxim_runs.experiments.report import (
 )
 from roboxim_runs.experiments.run import ExperimentResult
 from roboxim_runs.policies.specs import PolicySpec
-from roboxim_runs.testing import PLANTED_RATES, planted_folder
 
 
 @pytest.fixture

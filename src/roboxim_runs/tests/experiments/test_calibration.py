@@ -6,12 +6,12 @@ import sys
 from dataclasses import replace
 
 import pytest
+from planted_cards import RATES, experiment_of
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import RoboximError
 from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_eval.experiments import SideBySide, stages_of
-from roboxim_eval.testing import RATES, experiment_of
 from roboxim_runs.experiments.calibration import trainings as calibration_trainings
 from roboxim_runs.experiments.calibration.learned import rates_of_run
 from roboxim_runs.experiments.calibration.measuring import rollout_times

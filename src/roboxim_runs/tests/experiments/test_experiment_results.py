@@ -12,6 +12,7 @@ from collections import Counter
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from planted_runs import PLANTED_EXPERIMENT, PLANTED_RATES, planted_folder
 
 from roboxim_cli.main import group
 from roboxim_core.actions import ActionSemantics
@@ -39,7 +40,6 @@ from roboxim_runs.experiments.report import (
 from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment
 from roboxim_runs.experiments.trained.policies import named_policies
 from roboxim_runs.policies.specs import PolicySpec
-from roboxim_runs.testing import PLANTED_EXPERIMENT, PLANTED_RATES, planted_folder
 
 
 def test_a_folder_receives_a_card_and_a_page(tmp_path):

@@ -9,6 +9,7 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
+from planted_cards import experiment_of
 
 from roboxim_bringup.parameters import parse_options
 from roboxim_core.config import named_config, to_plain
@@ -16,7 +17,6 @@ from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import design_of, scale_names, stages_of
 from roboxim_eval.experiments.reductions import deciding
-from roboxim_eval.testing import experiment_of
 from roboxim_runs.experiments.definitions import definitions
 from roboxim_runs.experiments.files import (
     benchmark_experiments,

@@ -4,6 +4,7 @@ import json
 
 import pytest
 from click.testing import CliRunner
+from planted_cards import shipped
 
 from roboxim_cli.main import group
 from roboxim_core.errors import ConfigError
@@ -11,7 +12,6 @@ from roboxim_eval.experiments import design_of, stages_of
 from roboxim_eval.experiments.card import parse_card, sealed
 from roboxim_eval.experiments.card_checks import check_card, concluded
 from roboxim_eval.experiments.fresh import SceneSeed, committed_text, public_text
-from roboxim_eval.testing import shipped
 from roboxim_runs.experiments.benchmark import BenchmarkRunConfig, run_benchmark
 from roboxim_runs.experiments.report import ExperimentFolder, card_page, reproduction
 from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from planted_cards import RATES, planted_card
 
 from roboxim_cli.commands.stages.experiment import command, duration_s
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import SideBySide, design_of
-from roboxim_eval.testing import RATES, planted_card
 from roboxim_runs.experiments.calibration import measuring as calibration
 from roboxim_runs.experiments.calibration.rates import rates_file, store_rates, stored_rates
 from roboxim_runs.experiments.files import (

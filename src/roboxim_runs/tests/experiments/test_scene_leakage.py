@@ -1,11 +1,11 @@
 """What the scenes of shipped experiments tell without their words."""
 
 import pytest
+from planted_cards import shipped
 
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_eval.experiments import design_of, mix_of
-from roboxim_eval.testing import shipped
 from roboxim_runs.experiments.files import load_experiment
 from roboxim_runs.experiments.scene_leakage import scene_leakage
 from roboxim_tasks.config import task_mix

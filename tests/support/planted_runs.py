@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from roboxim_eval.testing import SKILL_AND_OBJECT
+from planted_cards import SKILL_AND_OBJECT
 
 if TYPE_CHECKING:
     from roboxim_runs.experiments.report import ExperimentFolder
@@ -85,11 +85,12 @@ def planted_folder(out: Path, rates: Mapping[str, float], text: str = PLANTED_EX
         rates: Condition to its success rate.
         text: The experiment, with 20 rollouts in each cell.
     """
+    from planted_cards import experiment_of
+
     from roboxim_core.config import to_plain
     from roboxim_core.episode import EpisodeResult
     from roboxim_core.plain_data.results_log import ResultsLog
     from roboxim_eval.experiments import stages_of
-    from roboxim_eval.testing import experiment_of
     from roboxim_runs.experiments.card import evaluation_folder
     from roboxim_runs.experiments.files import checked_design
     from roboxim_runs.experiments.report import ExperimentFolder
