@@ -30,7 +30,7 @@ finally:
 
 AT_ONCE = {
     "action", "completion", "demo", "doctor", "down", "env", "interface", "node", "param", "runs", "schema", "service",
-    "topic", "bag info", "dataset info", "dataset replay", "experiment list", "planner dumps",
+    "topic", "bag info", "dataset info", "experiment list", "planner dumps",
     "policy conventions", "policy describe", "policy list", "policy new-server", "tasks",
 }  # fmt: skip
 """Commands that answer at once, or, of a running graph, say themselves for what they wait."""
