@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
-import inspect
 import re
-import textwrap
 from collections.abc import Collection
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import click
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.field_docs import field_docs
 
 
 def field_options(cls: type[Any], *, leave_out: Collection[str] = ()) -> list[click.Option]:
@@ -32,27 +30,6 @@ def field_options(cls: type[Any], *, leave_out: Collection[str] = ()) -> list[cl
         for field in dataclasses.fields(cls)
         if field.name not in leave_out
     ]
-
-
-def field_docs(cls: type[Any]) -> dict[str, str]:
-    """Return the docstrings of a dataclass's fields, those inherited from other dataclasses included."""
-    docs = {}
-    for base in reversed(cls.__mro__):
-        if dataclasses.is_dataclass(base):
-            docs.update(_own_field_docs(base))
-    return docs
-
-
-def _own_field_docs(cls: type[Any]) -> dict[str, str]:
-    [tree] = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
-    assert isinstance(tree, ast.ClassDef)
-    docs = {}
-    for field, text in zip(tree.body, tree.body[1:], strict=False):
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
-            value = text.value.value if isinstance(text.value, ast.Constant) else None
-            if isinstance(value, str):
-                docs[field.target.id] = " ".join(value.replace("``", "").split())
-    return docs
 
 
 def _option(name: str, kind: Any, default: Any, doc: str) -> click.Option:

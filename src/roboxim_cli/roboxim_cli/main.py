@@ -194,8 +194,8 @@ def main() -> None:
         sys.exit(130)
     except RoboximError as error:
         wrong_usage = isinstance(error, ConfigError)
-        said = _shortened(str(error))
-        click.echo(f"error: {said}" if wrong_usage else f"error: {said} [{error.code.name}]", err=True)
+        message = _shortened(str(error))
+        click.echo(f"error: {message}" if wrong_usage else f"error: {message} [{error.code.name}]", err=True)
         sys.exit(2 if wrong_usage else 1)
     except ModuleNotFoundError as error:
         from roboxim_core.plain_data.extras import explained

@@ -10,9 +10,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from roboxim_cli.field_options import field_docs
 from roboxim_core.config import to_plain
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.plain_data.field_docs import field_docs
 from roboxim_core.poses import Pose
 
 KINDS = {

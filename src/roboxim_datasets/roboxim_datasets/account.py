@@ -73,7 +73,7 @@ class Account:
         Args:
             kind: What it is.
             name: Its name.
-            count: How much of it; None: all that nothing was said of.
+            count: How much of it; None: all that is not accounted for yet.
             changed: How what is read differs, e.g. ``float64, read as float32``.
         """
         self._say(kind, name, "read", changed, count)

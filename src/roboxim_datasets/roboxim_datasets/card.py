@@ -254,7 +254,7 @@ def _actions(dataset: Dataset) -> str:
         )
     if (dataset.folder / "convention.yaml").is_file():
         text += (
-            "\n`convention.yaml` says how a policy that was trained on this dataset is asked and what its answers "
+            "\n`convention.yaml` says what a policy that was trained on this dataset is sent and what its answers "
             "mean: `roboxim evaluate --option convention=convention.yaml`.\n"
         )
     if "sim.action_executed" in about.features.signals:

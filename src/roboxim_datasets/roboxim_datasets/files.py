@@ -32,20 +32,20 @@ def file_in(folder: Path, name: Path | str) -> Path:
             regular file, or it is a pointer of Git LFS instead of the data.
     """
     root = _boundary(folder.resolve())
-    asked = folder / name
+    path = folder / name
     try:
-        place = asked.resolve()
+        place = path.resolve()
         if not place.is_relative_to(root):
-            raise _bad(f"{asked} lies outside of the dataset's folder {folder}; only its own files are read")
+            raise _bad(f"{path} lies outside of the dataset's folder {folder}; only its own files are read")
         about = place.stat()
         if not stat.S_ISREG(about.st_mode):
-            raise _bad(f"{asked} is no regular file; only regular files are read")
+            raise _bad(f"{path} is no regular file; only regular files are read")
         if about.st_size < _LFS_MOST and place.read_bytes().startswith(_LFS):
-            raise _bad(f"{asked} is a pointer of Git LFS, not the data; run 'git lfs pull' in its repository")
+            raise _bad(f"{path} is a pointer of Git LFS, not the data; run 'git lfs pull' in its repository")
     except OSError as error:
-        raise _bad(f"cannot read {printable(asked)}: {error.strerror or error}") from None
+        raise _bad(f"cannot read {printable(path)}: {error.strerror or error}") from None
     except ValueError as error:  # a zero byte in the name
-        raise _bad(f"cannot read {printable(asked)}: {error}") from None
+        raise _bad(f"cannot read {printable(path)}: {error}") from None
     return place
 
 

@@ -110,11 +110,11 @@ class EvaluatorNode(RoboximNode):
         result = RunEpisodesAction.Result()
         feedback = RunEpisodesAction.Feedback(total=len(goal.request.indices))
 
-        def told(current: str, seq: int) -> None:
+        def progress(current: str, seq: int) -> None:
             feedback.current, feedback.seq = current, seq
             goal.publish_feedback(feedback)
 
-        cancelled = self._with_progress(told, lambda: bool(goal.is_cancel_requested))
+        cancelled = self._with_progress(progress, lambda: bool(goal.is_cancel_requested))
         with self.answering("evaluator/run_episodes", result):
             for episode in self._run(_config_of(goal.request), goal.request.indices, cancelled, goal):
                 message = to_msg(episode, EpisodeResultMsg)
@@ -125,23 +125,27 @@ class EvaluatorNode(RoboximNode):
         return ended(goal, result)
 
     def run_episodes(
-        self, config: RunConfig, indices: Sequence[int], told: Callable[[str, int], None], cancelled: Callable[[], bool]
+        self,
+        config: RunConfig,
+        indices: Sequence[int],
+        progress: Callable[[str, int], None],
+        cancelled: Callable[[], bool],
     ) -> list[EpisodeResult]:
         """Run episodes in the thread of the caller.
 
         Args:
             config: Configuration of the run.
             indices: Indices of the episodes.
-            told: Called with the id and the tick of the running episode every `FEEDBACK_PERIOD_S`, between ticks.
+            progress: Called with the id and the tick of the running episode every `FEEDBACK_PERIOD_S`, between ticks.
             cancelled: Called before every tick; True cancels the run.
 
         Raises:
             EvaluationError: When another run is active.
             RoboximError: See `EpisodeRunner.run_index`.
         """
-        return list(self._run(config, indices, self._with_progress(told, cancelled)))
+        return list(self._run(config, indices, self._with_progress(progress, cancelled)))
 
-    def _with_progress(self, told: Callable[[str, int], None], cancelled: Callable[[], bool]) -> Callable[[], bool]:
+    def _with_progress(self, progress: Callable[[str, int], None], cancelled: Callable[[], bool]) -> Callable[[], bool]:
         """Return a function that returns whether to cancel, and reports the progress of the run from time to time."""
         last = 0.0
 
@@ -149,7 +153,7 @@ class EvaluatorNode(RoboximNode):
             nonlocal last
             if self._runner is not None and time.monotonic() - last > FEEDBACK_PERIOD_S:
                 last = time.monotonic()
-                told(*self._runner.progress)
+                progress(*self._runner.progress)
             return cancelled() or not self.context.ok()
 
         return look

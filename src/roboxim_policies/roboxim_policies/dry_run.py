@@ -1,4 +1,4 @@
-"""The classic faults of a policy that is asked the wrong way, found in a few answers.
+"""The classic faults of a policy that is called in the wrong way, found in a few answers.
 
 The findings are hints: a model may hold still on purpose. They compare the answers with what the convention allows, and
 with what the expert does in the same situations.

@@ -83,7 +83,7 @@ def _spread(replies: Floats) -> float:
 
 
 class RemotePolicy(BasePolicy):
-    """A policy that a server computes, asked over a wire and understood by a convention."""
+    """A policy on a server, reached over a wire and understood by a convention."""
 
     def __init__(self, wire: Wire, convention: str | Convention, *, version: Version, name: str = "") -> None:
         """Join a wire and a convention. Connects only if the convention is the server's own.
@@ -169,7 +169,7 @@ class RemotePolicy(BasePolicy):
         """
         try:
             self.connect()
-        except PolicyError as error:  # whatever the reason, the model was not asked
+        except PolicyError as error:  # whatever the reason, the model was not called
             raise PolicyError(str(error), ErrorCode.POLICY_DIED) from None
         self._seed = start.seed
         self.wire.reset(start)

@@ -56,8 +56,8 @@ class RewordedPolicy:
     def describe(self) -> PolicyDescription:
         """Describe the other policy; the version names the instruction."""
         description = self._policy.describe()
-        said = f"wordings '{self._wordings}'" if self._wordings else f"instruction '{self._instruction}'"
-        version = f"{description.version} with the {said}".strip()
+        wording = f"wordings '{self._wordings}'" if self._wordings else f"instruction '{self._instruction}'"
+        version = f"{description.version} with the {wording}".strip()
         return replace(description, version=version)
 
     def reset(self, start: EpisodeStart) -> None:

@@ -80,20 +80,20 @@ class Octo(Model):
         self._key(request)
         self._observation(request)
 
-    def act(self, asked: list) -> list:
+    def act(self, requests: list) -> list:
         """Return all predicted actions, un-normalised, (horizon, D), for each request."""
         groups: dict = {}
-        for place, (request, _) in enumerate(asked):
+        for place, (request, _) in enumerate(requests):
             observation = self._observation(request)
             shapes = tuple(sorted((key, value.shape) for key, value in observation.items()))
             groups.setdefault(shapes, []).append((place, observation))
         replies: dict = {}
         for members in groups.values():
-            rows = self._sampled([(asked[place], observation) for place, observation in members])
+            rows = self._sampled([(requests[place], observation) for place, observation in members])
             for (place, _), actions in zip(members, rows, strict=True):
-                seed, drawn = asked[place][1]
+                seed, drawn = requests[place][1]
                 replies[place] = ({"actions": actions}, (seed, drawn + 1))
-        return [replies[place] for place in range(len(asked))]
+        return [replies[place] for place in range(len(requests))]
 
     def _sampled(self, members: list) -> list:
         """Sample the actions of requests with pictures of the same shapes."""

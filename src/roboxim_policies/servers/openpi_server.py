@@ -75,7 +75,7 @@ class Model(ABC):
         """
 
     @abstractmethod
-    def act(self, asked: list) -> list:
+    def act(self, requests: list) -> list:
         """Return a pair (reply, new state) for each pair (request, state)."""
 
 
@@ -221,7 +221,7 @@ class Worker:
             return
         self.largest = max(self.largest, len(batch))
         try:
-            found = self._model.act([asked for asked, _ in batch])
+            found = self._model.act([request for request, _ in batch])
         except Exception as error:
             if len(batch) == 1:
                 batch[0][1].set_exception(error)

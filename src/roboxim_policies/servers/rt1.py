@@ -58,9 +58,9 @@ class Rt1(Model):
         text_of(request)
         picture_of(request, "image", HISTORY, SHAPE)
 
-    def act(self, asked: list) -> list:
+    def act(self, requests: list) -> list:
         """Return one action for each request."""
-        return [self._one(request, *state) for request, state in asked]
+        return [self._one(request, *state) for request, state in requests]
 
     def _one(self, request: dict, state: Any, before: str | None) -> tuple:
         text = text_of(request)

@@ -201,7 +201,7 @@ def _descriptions(thing: PhysicalObject, library: ModelLibrary) -> set[str]:
         str(thing.modifiers.get(kind, known[kind].default if kind in known else "")) for kind in SPOKEN
     ]  # a modifier that is not given has the model's default
     return {
-        " ".join((*(value for value, said in zip(values, chosen, strict=True) if said and value), thing.name)).lower()
+        " ".join((*(value for value, named in zip(values, chosen, strict=True) if named and value), thing.name)).lower()
         for chosen in itertools.product((False, True), repeat=len(values))
     }
 

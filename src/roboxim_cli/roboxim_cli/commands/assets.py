@@ -108,7 +108,7 @@ def check(targets: tuple[str, ...]) -> None:
 @command.command("import", begins="importing")
 @click.argument("meshes", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @option("out", default="my_objects", help="Configuration folder; the objects are written into its folder objects/.")
-@click.option("--unit", default="", metavar="m|cm|mm|in", help="Unit of the files; default: guessed, and said.")
+@click.option("--unit", default="", metavar="m|cm|mm|in", help="Unit of the files; default: guessed and printed.")
 @click.option("--up", default="z", show_default=True, type=click.Choice(["z", "y"]), help="Axis that points up.")
 @click.option("--mass", type=click.FloatRange(0, 20, min_open=True), metavar="KG", help="Mass; default: guessed.")
 @click.option("--noun", default="", help="Noun in instructions; default: the file's name.")
@@ -130,7 +130,7 @@ def import_(
     roboxim assets import teapot.glb
     roboxim assets import scans/*.obj --unit mm --up y --out my_things
 
-    Each grasp has lifted the object in a floating hand. What is guessed is said, and written into the YAML file.
+    Each grasp has lifted the object in a floating hand. Guesses are printed and written into the YAML file.
     """
     from roboxim_cli.progress import ProgressLine
     from roboxim_core.errors import ConfigError, ErrorCode, RoboximError
@@ -178,7 +178,7 @@ def new(mesh: Path, unit: str, up: str) -> None:
     roboxim assets new teapot.glb > teapot.yaml
     roboxim assets new teapot.stl --unit mm --up y > teapot.yaml
 
-    A terminal is asked for unit and axis; otherwise the size that they give is said on the error stream.
+    In a terminal the command prompts for unit and axis; otherwise it prints the resulting size on the error stream.
     """
     import sys
 

@@ -201,7 +201,7 @@ def list_policies() -> None:
 
 @command.command("conventions")
 def list_conventions() -> None:
-    """List the conventions: how policies that were trained elsewhere are asked, and what their answers mean.
+    """List the conventions: what policies that were trained elsewhere are sent, and what their answers mean.
 
     A convention with an invalid file is reported as an error at the end, after the others.
     """

@@ -159,15 +159,15 @@ class LeRobotDataset(Dataset):
         """Read an episode of a split; its steps are read on demand."""
         place = self.meta.splits[split][index]
         with reading(self._where(place)):
-            said = self._said[place.number] if place.number < len(self._said) else {}
+            metadata = self._exported[place.number] if place.number < len(self._exported) else {}
             texts = self._texts(place)
             return self.description.episode(
                 length=place.length,
                 instruction=texts[0],
                 instructions=tuple(dict.fromkeys(texts)),
                 subtasks=tuple(dict.fromkeys(filter(None, self._subtasks_of(place)))),
-                success=said.get("success") if said else self._succeeded(place),
-                metadata=said,
+                success=metadata.get("success") if metadata else self._succeeded(place),
+                metadata=metadata,
                 read=lambda wanted: self._steps(place, wanted),
             )
 
@@ -175,7 +175,7 @@ class LeRobotDataset(Dataset):
         return f"{self.path / place.data_file}, episode {place.number}"
 
     @cached_property
-    def _said(self) -> list[dict[str, Any]]:
+    def _exported(self) -> list[dict[str, Any]]:
         """What RoboXim's export says of each episode; empty: it is another's dataset."""
         name = ROBOXIM_EPISODES_FILE
         return tables.json_lines(self.path, name) if has_file(self.path, name) else []
@@ -306,7 +306,7 @@ class LeRobotDataset(Dataset):
 
     def _take_stock(self, account: Account) -> None:
         why = self._statistics[1]
-        take_stock(account, self.meta, own=bool(self._said), unusable=f"{why}; {self._not_finite()}" if why else "")
+        take_stock(account, self.meta, own=bool(self._exported), unusable=f"{why}; {self._not_finite()}" if why else "")
 
     def _not_finite(self) -> str:
         """Return which episodes have numbers that are not finite."""

@@ -107,13 +107,13 @@ def sentences(choice: Choice, fresh: SuccessRate) -> list[str]:
         choice: The choice.
         fresh: The winner's rate in fresh scenes.
     """
-    told = []
+    lines = []
     for number, one in enumerate(choice.rounds, start=1):
         ranked = ", ".join(f"{name} {successes}" for name, successes in one.successes.items())
-        told.append(f"round {number}, {one.scenes} scenes: {ranked}")
+        lines.append(f"round {number}, {one.scenes} scenes: {ranked}")
     scenes = choice.rounds[-1].scenes
     return [
-        *told,
+        *lines,
         f"{choice.winner} is chosen; in fresh scenes it succeeds in {fresh}",
         f"in the {scenes} scenes that chose it: {100 * choice.choosing.rate:.0f} %, too high on average, because they "
         "chose it",

@@ -260,7 +260,7 @@ def _words_needed(p: Probes) -> Said:
     several = len({trace.instruction for trace in p.seeds.values()}) > 1
     with_words, without = sum(_verdicts(p.solved)), sum(_verdicts(p.wordless))
     if several and 0 < with_words <= without:
-        yield f"the solver succeeds as often without the instruction ({_rate(p.wordless)}): the scene tells the task"
+        yield f"the solver succeeds as often without the instruction ({_rate(p.wordless)}): the scene reveals the task"
 
 
 def _replay(p: Probes) -> Said:

@@ -98,9 +98,9 @@ class Attestation:
     recipe: dict[str, Any] = field(default_factory=dict)
     """Everything besides the dataset and the seed that the result depends on, e.g. model, steps, learning rate."""
     dataset_sha256: str = ""
-    """Hash of the dataset that was trained with, as the card states it; empty: not said."""
+    """Hash of the dataset that was trained with, as the card states it; empty: not stated."""
     pretraining: str = ""
-    """Weights that the training started from, e.g. ``octo-small-1.5``; ``none``: from random ones; empty: not said."""
+    """Weights that the training started from, e.g. ``octo-small-1.5``; ``none``: random ones; empty: not stated."""
     exposure: str = "unknown"
     """Whether the pre-training contained held-out combinations: ``no``, ``yes`` or ``unknown``."""
 

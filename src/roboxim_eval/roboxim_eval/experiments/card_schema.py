@@ -5,17 +5,16 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import inspect
 import json
-import textwrap
 import types
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from roboxim_core.config import LEFT_OUT
+from roboxim_core.plain_data.field_docs import field_docs
 from roboxim_eval.benchmark.card import BenchmarkCard
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.config import ExperimentConfig
@@ -66,7 +65,7 @@ def _schema(kind: Any, definitions: dict[str, Any]) -> dict[str, Any]:
 
 
 def _class_schema(cls: type[Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    hints, docs = get_type_hints(cls), _field_docs(cls)
+    hints, docs = get_type_hints(cls), field_docs(cls)
     properties = {
         field.name: {**_schema(hints[field.name], definitions), "description": docs[field.name]}
         for field in dataclasses.fields(cls)
@@ -80,18 +79,6 @@ def _class_schema(cls: type[Any], definitions: dict[str, Any]) -> dict[str, Any]
 
 def _first_line(cls: type[Any]) -> str:
     return (inspect.getdoc(cls) or "").partition("\n")[0]
-
-
-def _field_docs(cls: type[Any]) -> dict[str, str]:
-    """Return the docstrings below a dataclass's fields."""
-    [tree] = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
-    assert isinstance(tree, ast.ClassDef)
-    docs = {}
-    for field, text in zip(tree.body, tree.body[1:], strict=False):
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
-            value = text.value.value if isinstance(text.value, ast.Constant) else ""
-            docs[field.target.id] = " ".join(str(value).replace("``", "").split())
-    return docs
 
 
 def schema_text(name: str) -> str:

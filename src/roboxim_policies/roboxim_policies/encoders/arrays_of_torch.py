@@ -84,9 +84,9 @@ class _Reader(pickle.Unpickler):
             return KINDS[name]
         raise pickle.UnpicklingError(f"it names {module}.{name}, which is not allowed")
 
-    def persistent_load(self, said: Any) -> _Storage:
+    def persistent_load(self, pid: Any) -> _Storage:
         """Return the storage that an entry refers to."""
-        what, kind, key, _, count, *_ = said
+        what, kind, key, _, count, *_ = pid
         if what != "storage" or not isinstance(kind, np.dtype) or not 0 <= count <= MOST_NUMBERS:
             raise pickle.UnpicklingError(f"it refers to {what!r}, which is not allowed")
         return self.storages.setdefault(str(key), _Storage(kind, int(count)))

@@ -49,9 +49,9 @@ class Attention(eqx.Module):
         def split(x: Array) -> Array:
             return x.reshape(*x.shape[:-1], self.heads, size)
 
-        asked = split(self.asked(normalised(tokens)))
+        queries = split(self.asked(normalised(tokens)))
         keys, values = (split(x) for x in jnp.split(self.offered(normalised(others)), 2, axis=-1))
-        scores = jnp.einsum("bnhs,bmhs->bhnm", asked, keys) / math.sqrt(size)
+        scores = jnp.einsum("bnhs,bmhs->bhnm", queries, keys) / math.sqrt(size)
         if allowed is not None:
             scores = jnp.where(allowed if allowed.ndim == 2 else allowed[:, None], scores, -1e9)
         found = jnp.einsum("bhnm,bmhs->bnhs", jax.nn.softmax(scores, axis=-1), values)

@@ -99,10 +99,10 @@ def carried_statistics(start: Checkpoint, own: Statistics) -> Statistics:
 
 def record_of(start: Checkpoint) -> dict[str, Any]:
     """Return what the description of a fine-tuned checkpoint says about the one that it began with."""
-    told: dict[str, Any] = {"digest": start.digest, "step": start.step}
+    content: dict[str, Any] = {"digest": start.digest, "step": start.step}
     if start.pretraining:
-        told["pretraining"] = dict(start.pretraining)
-    return told
+        content["pretraining"] = dict(start.pretraining)
+    return content
 
 
 def _form(network: Any) -> tuple[Any, list[tuple[int, ...]]]:

@@ -4,7 +4,7 @@ It speaks openpi's wire, but has no convention: observations arrive as the polic
 process, and actions leave as it gave them. So an evaluation's results do not depend on where its policy runs.
 
 Non-obvious: answers of a *batch* may differ from single ones in the last bits, because a model may add up numbers in
-another order. Only a policy that has ``act_batch`` is asked in batches.
+another order. Only a policy that has ``act_batch`` is called in batches.
 """
 
 from __future__ import annotations

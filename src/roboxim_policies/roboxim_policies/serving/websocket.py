@@ -81,7 +81,7 @@ class WebSocketServer(PolicyServer):
         """Answer a connection's messages until it closes."""
 
     def _describe_error(self, error: Exception) -> str:
-        """Log an error, and return what the client is told of it."""
+        """Log an error, and return the message for the client."""
         self.log(f"{self.url}: {traceback.format_exc()}" if not isinstance(error, RoboximError) else str(error))
         return f"{type(error).__name__}: {printable(error)}"
 

@@ -31,7 +31,7 @@ from roboxim_core.registry import Registry
 from roboxim_policies.wires.errors import Deadline, died, fault, invalid
 
 Request = Mapping[str, Any]
-"""What a policy is asked: NumPy arrays and texts by name, e.g. ``{"observation/image": ..., "prompt": "..."}``."""
+"""Request to a policy: NumPy arrays and texts by name, e.g. ``{"observation/image": ..., "prompt": "..."}``."""
 Rows = npt.NDArray[np.float64]
 """Raw actions of a server, float64, shape (n, D)."""
 Answer = dict[str, Rows]

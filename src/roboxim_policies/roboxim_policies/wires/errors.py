@@ -59,7 +59,7 @@ def redirected(server: str, status: int, location: Any) -> PolicyError:
 
 
 def quoted(text: Any) -> str:
-    """Return the part of a server's text that tells most: a traceback's last line, or the beginning."""
+    """Return the most telling part of a server's text: a traceback's last line, or the beginning."""
     text = printable(text, 20_000).strip()
     if text.startswith("Traceback (most recent call last)"):
         text = text.splitlines()[-1].strip()

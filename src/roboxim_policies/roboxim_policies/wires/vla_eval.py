@@ -3,7 +3,7 @@
 Every message is a MessagePack map ``{"type", "payload", "seq", "timestamp"}``. After a greeting of both sides,
 ``episode_start`` begins an episode without a reply, and each ``observation`` is answered by an ``action`` with its
 ``seq``. An ``error`` leaves the connection open; that of ``episode_start`` comes with the ``seq`` of that message. The
-server usually keeps the chunk of actions, so that it is asked at every tick.
+server usually keeps the chunk of actions, so that it is called at every tick.
 
 Source: allenai/vla-evaluation-harness@e1ee9adf6439, src/vla_eval/protocol, connection.py.
 """

@@ -177,9 +177,9 @@ class _BagCheck:
     def _end_problems(self) -> Iterator[str]:
         """Yield differences between the result and the messages."""
         check, result = self._check, self.result
-        said = self._counts[topics.ACTED_BY]
-        if said and result is not None and said != result.steps:
-            yield f"it says of {said} actions who acted, but it has {result.steps}"
+        actors = self._counts[topics.ACTED_BY]
+        if actors and result is not None and actors != result.steps:
+            yield f"it says of {actors} actions who acted, but it has {result.steps}"
         if check is not None:
             yield from check.end_problems()
         if check is None or result is None:

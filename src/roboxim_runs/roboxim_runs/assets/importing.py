@@ -262,7 +262,7 @@ class _Import:
     def _notes(
         self, model: ObjectModel, rests: list[RestPose], regions: list[Region], search: Search
     ) -> dict[str, Any]:
-        """Return the part of the YAML file that tells what the object can do."""
+        """Return the part of the YAML file that states what the object can do."""
         x, y, height = model.size
         toppled = [rest for rest in rests if rest.tilt_rad > np.deg2rad(60) and rest.share >= OFTEN]
         upright = bool(toppled) and height > TALL * max(x, y)

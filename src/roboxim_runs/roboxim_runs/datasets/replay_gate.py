@@ -91,7 +91,7 @@ class EpisodeReplay:
     executed: StreamReplay | None = None
     """The executed actions; None: the dataset has none."""
     labels: StreamReplay | None = None
-    """The labels; None: not asked for."""
+    """The labels; None: not requested."""
     changed: tuple[str, ...] = ()
     """Models that have changed since the recording."""
 

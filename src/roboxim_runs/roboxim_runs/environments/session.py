@@ -84,7 +84,7 @@ class SessionConfig:
 
 
 class _Outside(BasePolicy):
-    """Declares what the caller of a session needs; never asked."""
+    """Declares what the caller of a session needs; never called."""
 
     def __init__(self, config: SessionConfig, cameras: tuple[CameraRequirement, ...]) -> None:
         self.name, self.semantics, self.cameras = "outside", config.actions, cameras
@@ -128,7 +128,7 @@ class EpisodeSession:
         self._graph: CoreGraph | None = None
         self._play: Play | None = None
         self.begun = EpisodeStart(episode_id="", instruction="", seed=0)
-        """What a policy is told when the running episode begins; of a session without episodes empty."""
+        """What a policy receives when the running episode begins; of a session without episodes empty."""
         self._pid = os.getpid()
 
     @property

@@ -31,7 +31,7 @@ class ExpertEpisode:
     instruction: str
     """The instruction."""
     observations: Sequence[Observation]
-    """Observation before each action; pictures of the asked cameras."""
+    """Observation before each action; pictures of the requested cameras."""
     states: Sequence[StateRecord]
     """State before each action."""
     actions: Floats

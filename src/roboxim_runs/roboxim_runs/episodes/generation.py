@@ -90,8 +90,8 @@ class GenerationResult:
     def summary(self) -> str:
         """Number of demonstrations, and how many of them existed before, in one line."""
         made = [result for result in self.results if result not in self.before]
-        asked = {result.index for result in self.results}
-        more = sum(result.outcome == "success" for result in self.before if result.index not in asked)
+        indices = {result.index for result in self.results}
+        more = sum(result.outcome == "success" for result in self.before if result.index not in indices)
         text = f"{len(self.kept)} demonstration{'' if len(self.kept) == 1 else 's'} in {self.out / 'episodes'}"
         notes = []
         if made and len(made) < len(self.results):

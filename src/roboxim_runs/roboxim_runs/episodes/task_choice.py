@@ -29,7 +29,7 @@ SEEN_WHOLE = {"workspace": "whole", "workspace_side": "whole_side"}
 FROM_AFAR = "{cameras: {names: [workspace, wrist], views: {workspace: whole}}}"
 """Reset of a skill without a task's file: the camera ``workspace`` sees the whole hand."""
 CELLS_SHOWN = 8
-"""Number of cells of a mix whose episodes are told one by one."""
+"""Number of cells of a mix whose episodes are listed one by one."""
 
 
 def task_text(
@@ -159,7 +159,7 @@ def _reset_changes(
 
 
 def _is_built_in(source: str) -> bool:
-    """Tell whether a task's source is a file of RoboXim's own ``config/tasks``."""
+    """Return whether a task's source is a file of RoboXim's own ``config/tasks``."""
     return Path(source).parent == config_dir() / "tasks"
 
 
@@ -219,7 +219,7 @@ def _words(text: str) -> list[str]:
 
 
 def _base(task: str, skills: Sequence[str], suite: str, *, whole: bool, by_look: bool) -> tuple[str, str]:
-    """Return a task configuration's text and its source; several skills are seen whole if asked, or as a look says."""
+    """Return a task configuration's text and its source; ``whole`` and ``by_look`` choose the view of several."""
     from roboxim_tasks.skills import SKILLS
     from roboxim_tasks.skills.from_file import is_skill_file
 

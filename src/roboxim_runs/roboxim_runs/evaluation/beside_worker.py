@@ -1,6 +1,6 @@
 """A worker of an `Evaluator`: ``python -m roboxim_runs.evaluation.beside_worker FD RENDERER``.
 
-It plays the episodes that the user's process names. What the policy would be asked goes there, the answer comes back.
+It plays the episodes that the user's process names. Each request to the policy goes there, and the answer comes back.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ def shown_runs(
         out: The report's folder.
         film: Which films are shown.
         trained: Policies that are checkpoints of a training.
-        by_scene: Whether scenes are told by what they held, as policies of several runs need; else by index.
+        by_scene: Whether scenes are identified by what they hold, as policies of several runs need; else by index.
 
     Raises:
         ConfigError: When stored facts are damaged, or a scene whose film is asked for is not recorded.

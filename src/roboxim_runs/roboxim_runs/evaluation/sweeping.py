@@ -116,8 +116,8 @@ def sweep(
     on_event(Notice(text=f"{choice.winner} is chosen; {halving.fresh} fresh scenes"))
     evaluation = played([choice.winner], halving.fresh, "fresh", config.seed + SEED_STEP)
     rate = evaluation[choice.winner].rate
-    told = {"rounds": [asdict(one) for one in choice.rounds], "winner": choice.winner, "fresh": asdict(rate)}
-    write_whole(out / RESULT, json.dumps(told, indent=2) + "\n")
+    result = {"rounds": [asdict(one) for one in choice.rounds], "winner": choice.winner, "fresh": asdict(rate)}
+    write_whole(out / RESULT, json.dumps(result, indent=2) + "\n")
     return SweepResult(choice=choice, winner=by_name[choice.winner], fresh=rate, evaluation=evaluation)
 
 

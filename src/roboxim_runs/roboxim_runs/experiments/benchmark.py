@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.differences import differences
@@ -31,7 +31,7 @@ from roboxim_runs.experiments.report import (
     write_card,
 )
 from roboxim_runs.experiments.report import STATE_FILE as EXPERIMENT_STATE_FILE
-from roboxim_runs.experiments.run import KINDS, ExperimentRunConfig, run_experiment
+from roboxim_runs.experiments.run import ExperimentRunConfig, SharedRunConfig, run_experiment
 from roboxim_runs.experiments.scenes.fresh import drawn_seed, in_scenes_of, share_seed, stored_seed
 from roboxim_runs.policies.specs import PolicySpec
 from roboxim_runs.storage.folder import checked_path, make_folder
@@ -40,35 +40,19 @@ STATE_FILE = "benchmark.json"
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchmarkRunConfig:
+class BenchmarkRunConfig(SharedRunConfig):
     """Configuration of a benchmark's run."""
 
     benchmark: str
     """Name in ``config/benchmark``, or a YAML file."""
-    scale: str = "full"
-    """One of its scales, or of its experiments'."""
     out: Path | str = "runs/benchmark"
     """The run's folder, with a subfolder for each experiment."""
-    trainer: str = ""
-    """Trainer of the files; empty: their first one."""
     policies: Mapping[str, PolicySpec] = field(default_factory=dict)
     """Policies that exist: ``EXPERIMENT.CONDITION[.REPLICATE]`` to the policy."""
     experiments: tuple[str, ...] = ()
     """The experiments to run, e.g. on one of several machines; none: all."""
     cards: tuple[Path, ...] = ()
     """Cards of experiments that ran elsewhere, as this benchmark runs them."""
-    only: tuple[str, ...] = KINDS
-    """Kinds of stages to run."""
-    workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
-    """Processes that run episodes."""
-    trainings: int = 1
-    """Trainings of an experiment at a time. Results do not depend on it."""
-    renderer: str = "raster"
-    """Renderer of the images."""
-    fresh: bool = False
-    """Whether to evaluate in fresh scenes, all experiments in those of one seed; see `ExperimentRunConfig`."""
-    scene_seed: int = 0
-    """Seed of the scenes; 0: the folder's, or the public one."""
     trained: Path | str = ""
     """With ``fresh``: folder of a finished run of the benchmark, whose trainings are evaluated again; empty: none."""
 
@@ -131,6 +115,7 @@ def run_benchmark(
     for name, card in cards.items():
         make_folder(out / name)
         write_card(card, out / name)
+    shared: dict[str, Any] = {one.name: getattr(config, one.name) for one in fields(SharedRunConfig)}
     missing: list[str] = []
     for name in benchmark.experiments:
         if _only_card(out / name):
@@ -143,10 +128,8 @@ def run_benchmark(
             share_seed(seed, out / name)
         result = run_experiment(
             ExperimentRunConfig(
-                experiment=name, scale=config.scale, changes=changes, benchmark=config.benchmark,
-                out=out / name, trainer=config.trainer, policies=_policies_of(name, config.policies), only=config.only,
-                workers=config.workers, trainings=config.trainings, renderer=config.renderer,
-                fresh=config.fresh, scene_seed=config.scene_seed,
+                **{**shared, "out": out / name}, experiment=name, changes=changes, benchmark=config.benchmark,
+                policies=_policies_of(name, config.policies),
                 trained=checked_path(config.trained) / name if config.trained else "",
             ),
             executor=executor, training_executor=training_executor, on_event=on_event, cancellation=cancellation,
@@ -192,8 +175,8 @@ def _cards_from_elsewhere(benchmark: BenchmarkConfig, config: BenchmarkRunConfig
             there, here = (f"'{one}'" if one else "the first trainer of its file" for one in
                            (card.experiment.trainer, trainer))  # fmt: skip
             raise ConfigError(f"{path} has {there}, and --trainer is {here}")
-        ran, asked = deciding(card.experiment.config), deciding(planned[name])
-        if changed := differences(ran, asked, words=("in the card", "here")):
+        ran, planned_here = deciding(card.experiment.config), deciding(planned[name])
+        if changed := differences(ran, planned_here, words=("in the card", "here")):
             raise ConfigError(
                 f"{path}: its experiment '{name}' differs from the one of this benchmark at scale {config.scale} "
                 f"({changed}); run it by --experiment {name}"

@@ -116,7 +116,7 @@ def pack(out: Path, target: Path, *, most_bytes: int = MOST_BYTES) -> Pack:
             named = ", ".join(f"{name} {sizes[name] / 1e6:.0f} MB" for name in largest)
             raise ConfigError(
                 f"the pack has {size / 1e6:.0f} MB, more than {most_bytes / 1e6:.0f} MB; its largest files: {named}. "
-                "Raise --most, or remove intermediate checkpoints"
+                "Raise --largest, or remove intermediate checkpoints"
             )
         shutil.rmtree(drafts)
         partial.replace(target)  # the last step: a call killed before leaves what the next one removes

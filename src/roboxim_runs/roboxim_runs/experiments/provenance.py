@@ -171,7 +171,7 @@ def folder_sha256(folder: Path) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Attestations:
-    """What is said about an experiment's trainings: the file ``OUT/attest.yaml``.
+    """What is attested about an experiment's trainings: the file ``OUT/attest.yaml``.
 
     Its keys hold for all trainings; those below ``trainings: CONDITION[.R]`` replace them::
 
@@ -185,7 +185,7 @@ class Attestations:
     recipe: dict[str, Any] = field(default_factory=dict)
     """See `roboxim_eval.experiments.card.Attestation`; the keys of a training are added to these."""
     pretraining: str = ""
-    """Weights that the trainings started from; empty: not said."""
+    """Weights that the trainings started from; empty: not stated."""
     exposure: str = "unknown"
     """Whether they had seen held-out combinations: ``no``, ``yes`` or ``unknown``."""
     trainings: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -211,7 +211,7 @@ class Attestations:
         )  # fmt: skip
 
     def training(self, name: str, *, steps: int, dataset_sha256: str, here: bool = True) -> Attestation:
-        """Return what is said about a training.
+        """Return what is attested about a training.
 
         Args:
             name: ``CONDITION.R``.

@@ -93,44 +93,53 @@ CHANGED = "changed_after_results"
 RENDERER = "raster"
 """Renderer unless one is named."""
 
-__all__ = ["KINDS", "ExperimentResult", "ExperimentRunConfig", "named_policies", "run_experiment"]
+__all__ = ["KINDS", "ExperimentResult", "ExperimentRunConfig", "SharedRunConfig", "named_policies", "run_experiment"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExperimentRunConfig:
+class SharedRunConfig:
+    """What the runs of an experiment and of a benchmark have in common."""
+
+    scale: str = "full"
+    """One of the scales of the file, or of a benchmark's experiments."""
+    out: Path | str
+    """The run's folder; a benchmark's has a subfolder for each experiment."""
+    trainer: str = ""
+    """Trainer: a name in the file or in ``config/trainers``, or a YAML file; empty: the file's first one."""
+    only: tuple[str, ...] = KINDS
+    """Kinds of stages to run."""
+    workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
+    """Processes that run episodes."""
+    trainings: int = 1
+    """Trainings of an experiment at a time. Results do not depend on it."""
+    renderer: str = RENDERER
+    """Renderer of the images, the same for demonstrations and rollouts."""
+    fresh: bool = False
+    """Whether to evaluate in fresh scenes: the folder's seed of fresh scenes, drawn now unless it has one. A
+    benchmark's experiments share it."""
+    scene_seed: int = 0
+    """Seed of the scenes, e.g. that of a published run in fresh scenes; 0: the folder's, or the public one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentRunConfig(SharedRunConfig):
     """Configuration of an experiment's run."""
 
     experiment: str
     """Name in ``config/experiments``, or a YAML file."""
-    scale: str = "full"
-    """One of its scales."""
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Keys of the file to replace, e.g. a benchmark's own scales."""
     benchmark: str = ""
     """Benchmark that it is a part of, for the command that runs it again; empty: none."""
     out: Path | str = "runs/experiment"
     """The run's folder."""
-    trainer: str = ""
-    """Trainer: a name in the file or in ``config/trainers``, or a YAML file; empty: the file's first one."""
     policies: Mapping[str, PolicySpec] = field(default_factory=dict)
     """Policies that exist: ``CONDITION.REPLICATE``, or ``CONDITION`` for all replicates, to the policy."""
-    only: tuple[str, ...] = KINDS
-    """Kinds of stages to run."""
-    workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
-    """Processes that run episodes."""
-    trainings: int = 1
-    """Trainings at a time. Results do not depend on it."""
-    renderer: str = RENDERER
-    """Renderer of the images, the same for demonstrations and rollouts."""
     shard: str = ""
     """``I/N``: run only the I-th of N parts of the episodes of each generation and evaluation; empty: everything."""
     trained: Path | str = ""
     """Folder of the whole experiment, whose trainings a shard evaluates; with ``fresh``, of a finished run in the
     public scenes, whose trainings are evaluated again; empty: ``out``."""
-    fresh: bool = False
-    """Whether to evaluate in fresh scenes: the folder's seed of fresh scenes, drawn now unless it has one."""
-    scene_seed: int = 0
-    """Seed of the scenes, e.g. that of a published run in fresh scenes; 0: the folder's, or the public one."""
 
     def __post_init__(self) -> None:
         """Check the names.

@@ -35,9 +35,9 @@ def scene_leakage(design: Design) -> tuple[str, ...]:
 
 
 def _told_objects(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
-    told = [name for name, mine in tasks.items() if not any(t.distractors.maximum for t in mine) and _vary(mine)]
-    if told:
-        where = "No scene" if len(told) == len(tasks) else f"No scene of {' and '.join(told)}"
+    revealing = [name for name, mine in tasks.items() if not any(t.distractors.maximum for t in mine) and _vary(mine)]
+    if revealing:
+        where = "No scene" if len(revealing) == len(tasks) else f"No scene of {' and '.join(revealing)}"
         yield f"{where} has distractors, so that the scene alone tells which object is meant."
 
 

@@ -23,7 +23,7 @@ from roboxim_runs.episodes.expert_episode import ExpertEpisode, expert_episode
 from roboxim_runs.policies.sketch import Sketch
 
 ASKED = 6
-"""Number of ticks of the expert's episode at which the policy is asked."""
+"""Number of ticks of the expert's episode at which the policy is called."""
 LABEL_PX = 20
 COLUMN_PX = 310
 """Least width of a picture's column, for its words."""
@@ -194,13 +194,13 @@ def _sheet(convention: Convention, pictures: Mapping[str, Picture], episode: Exp
         known = next((other for other in family.images if other.key == image.key), image) if family else image
         title = "This family was trained on such pictures" if proof else "No proof of this family; by its own fields"
         where = f"camera {named}" if named else (proof.trained_with if proof else "")
-        told = [title, where, ORIENTATIONS[known.mirror, known.upside_down]]
+        label = [title, where, ORIENTATIONS[known.mirror, known.upside_down]]
         sheet.paste(
             sketch.draw(camera, size, mirror=known.mirror, upside_down=known.upside_down), (left, below + 3 * LABEL_PX)
         )
         for line, text in enumerate(words):
             draw.text((left + 3, line * LABEL_PX + 2), text, "black", font)
-            draw.text((left + 3, below + line * LABEL_PX + 2), told[line], "black", font)
+            draw.text((left + 3, below + line * LABEL_PX + 2), label[line], "black", font)
         left += max(size[0], COLUMN_PX)
     return sheet
 

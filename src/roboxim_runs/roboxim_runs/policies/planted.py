@@ -27,7 +27,7 @@ from roboxim_tasks.meaning import asks_for_same, read_instruction
 
 
 class PlantedPolicy(BasePolicy):
-    """The expert, which succeeds as often as it is told to. Privileged, since the expert is."""
+    """The expert with a set success rate. Privileged, since the expert is."""
 
     name = "planted"
     privileged = True

@@ -1,6 +1,6 @@
 """What an evaluation records of a remote policy's server, and how it recognises the model when it continues.
 
-A server is asked before the first worker starts: a server that is not there, a convention that does not fit its
+A server is queried before the first worker starts: a server that is not there, a convention that does not fit its
 metadata, and a model other than the one that a folder's results come from are refused at once.
 """
 

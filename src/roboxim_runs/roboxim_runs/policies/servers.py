@@ -1,7 +1,7 @@
 """Policies that processes of their own serve to all simulators of a run, wherever these are.
 
 A server is a job that does not end: an executor places it, notices its death and starts it again, as it does with any
-worker. A simulator whose server is lost gives its episode up; the worker that repeats it is told the new address.
+worker. A simulator whose server is lost gives its episode up; the worker that repeats it receives the new address.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class PolicyServers:
         self._stack.close()
 
     def with_notices(self, on_event: OnEvent) -> OnEvent:
-        """Return a receiver of events that is also told what happened to the servers, in its own thread."""
+        """Return a receiver of events that also receives, in its own thread, what happened to the servers."""
 
         def tell(event: Event) -> None:
             while self._notices:

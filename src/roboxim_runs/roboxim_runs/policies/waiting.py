@@ -1,6 +1,6 @@
 """Waiting for a policy's server that is away: how long, how often, and what the user reads meanwhile.
 
-An episode whose policy could not be asked is no result. Its worker tries it again, with pauses that grow, until the
+An episode whose policy could not be reached has no result. Its worker tries it again, with pauses that grow, until the
 server is back or the patience ends; then the run stops, and the same command continues it.
 """
 
@@ -84,7 +84,7 @@ class Waiting:
         self._jobs: set[str] = set()
 
     def notice(self, note: Note) -> str:
-        """Return what a worker's note tells the user; empty: nothing new.
+        """Return the sentence of a worker's note for the user; empty: nothing new.
 
         Args:
             note: Its data have ``waiting``: what the worker waits for; empty: for nothing any more.

@@ -31,7 +31,7 @@ from roboxim_runs.executors import Cancellation, Executor, Job, Note, Work, run_
 from roboxim_runs.storage.event_log import VARIABLE
 
 POLL_S = 0.05
-"""Period at which trainings are asked whether they have ended [s]."""
+"""Period at which trainings are polled [s]."""
 TELL_S = 1.0
 """Period at which the progress of trainings is read [s]."""
 END_S = 60.0
@@ -40,7 +40,7 @@ LOG_LINES, LOG_BYTES = 15, 4000
 """Lines of a failed training's log in the message, and the most bytes that are read for them."""
 NOTE_LENGTH = 100
 """Longest line of a log that is shown as progress."""
-TOLD = {event.__name__: event for event in (StageStarted, StageProgress, StageFinished)}
+REPORTED = {event.__name__: event for event in (StageStarted, StageProgress, StageFinished)}
 """Events that a worker passes on, by name."""
 
 
@@ -157,8 +157,8 @@ def train_on(
 
 
 def event_of(data: Any) -> Event | None:
-    """Return the event that a worker has told; none: it has only told that it lives."""
-    return TOLD[data["event"]](**data["fields"]) if data else None
+    """Return the event that a worker has reported; none: it has only reported that it lives."""
+    return REPORTED[data["event"]](**data["fields"]) if data else None
 
 
 class _Shared:
@@ -202,7 +202,7 @@ def _run(
     on_trained: Callable[[Trained], None],
 ) -> None:
     """Run trainings; `running` has those that have not ended, also when this raises."""
-    told, shared = time.monotonic(), _Shared()
+    reported_s, shared = time.monotonic(), _Shared()
     while waiting or running:
         while waiting and len(running) < at_once:
             running.append(_Training(waiting.pop(0), out, reporter.on_event))
@@ -218,8 +218,8 @@ def _run(
                 on_trained(training.trained(shared.end(training.stage.name)))
         if failed:
             _fail(failed[0], [training for training in running if training not in failed])
-        if time.monotonic() - told >= TELL_S:
-            told = time.monotonic()
+        if time.monotonic() - reported_s >= TELL_S:
+            reported_s = time.monotonic()
             for training in running:
                 training.tell()
 
@@ -288,11 +288,11 @@ class _Training:
         return True
 
     def tell(self) -> None:
-        """Report the progress that the trainer has told; without any, the last line of its log."""
+        """Report the progress that the trainer has reported; without any, the last line of its log."""
         before = (self._done, self._total, self._note)
         if report := self._reports.last():
             self._done, self._total, self._note = report.done, report.total or self._total, report.note
-        elif not self._reports.told:
+        elif not self._reports.any:
             self._note = last_lines(self.log, 1)[:NOTE_LENGTH]
         if (self._done, self._total, self._note) != before:
             self._on_event(StageProgress(done=self._done, total=self._total, note=self._note, name=self.stage.name))
@@ -321,14 +321,14 @@ def _commands_of(stage: Stage, out: Path) -> Iterator[tuple[list[str], Path | No
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Progress that a trainer has told."""
+    """Progress that a trainer has reported."""
 
     time: str
-    """When, ISO 8601; empty: not told."""
+    """When, ISO 8601; empty: not reported."""
     done: int
     """Steps done; 0 before the training itself."""
     total: int
-    """Steps in all; 0: not told."""
+    """Steps in all; 0: not reported."""
     note: str
     """A short note."""
 
@@ -340,7 +340,7 @@ class TrainerReports:
         """Store the file's path; the file need not exist."""
         self.path = path
         self._read, self._title = 0, ""
-        self.told = False
+        self.any = False
         """Whether the trainer has written anything."""
 
     def clear(self) -> None:
@@ -363,7 +363,7 @@ class TrainerReports:
             return []
         self._read += len(whole) + len(end)
         reports = [report for line in whole.splitlines() if (report := self._report(line))]
-        self.told = self.told or bool(reports)
+        self.any = self.any or bool(reports)
         return reports
 
     def _report(self, line: bytes) -> Report | None:

@@ -123,14 +123,14 @@ def pretrain(
             report(number + 1)
     exposure = exposure_of(infos)
     trained_on = json.loads((out / "training" / TRAINED_ON).read_text())
-    told = {"name": name, "suite": config.suite, "dataset": trained_on["identity"], "exposure": exposure}
+    pretraining = {"name": name, "suite": config.suite, "dataset": trained_on["identity"], "exposure": exposure}
     packed = out / f"{name}.npz"
-    content = policy_only(training.checkpoint, told)
+    content = policy_only(training.checkpoint, pretraining)
     if not packed.is_file() or packed.read_bytes() != content:
         scratch = packed.with_name(f".{packed.name}.tmp")
         scratch.write_bytes(content)
         scratch.replace(packed)
-    write_whole(out / "exposure.json", json.dumps(told, indent=2) + "\n")
+    write_whole(out / "exposure.json", json.dumps(pretraining, indent=2) + "\n")
     return PretrainResult(checkpoint=packed, exposure=exposure, training=training)
 
 

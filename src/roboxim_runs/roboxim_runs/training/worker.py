@@ -26,7 +26,7 @@ from roboxim_eval.experiments import Stage
 from roboxim_runs.events import Event
 from roboxim_runs.executors.protocol import WorkerBrokenError
 from roboxim_runs.experiments.provenance import Origin
-from roboxim_runs.training.commands import TOLD, Trained, train
+from roboxim_runs.training.commands import REPORTED, Trained, train
 
 LOOK_S = 1.0
 """Period at which a worker looks whether a training is still its own [s]."""
@@ -36,7 +36,7 @@ is killed, and before another worker that has taken it over begins."""
 YIELD_S = 8.0
 """Time that a worker before has for ending its training [s]; more than `LOOK_S` and `SAVE_S`."""
 ALIVE_S = 20.0
-"""Longest time for which a worker tells nothing [s]."""
+"""Longest silence of a worker [s]."""
 
 
 class TrainingWorker:
@@ -75,7 +75,7 @@ class TrainingWorker:
                 )
 
         def tell(event: Event) -> None:
-            if type(event).__name__ in TOLD:
+            if type(event).__name__ in REPORTED:
                 note({"event": type(event).__name__, "fields": to_plain(event)})
 
         with _Ownership(self._out / stage.name, lambda: note(None)) as ownership:

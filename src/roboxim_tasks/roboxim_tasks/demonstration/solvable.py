@@ -57,14 +57,14 @@ class Solvability:
 
         Raises:
             PolicyError: When no candidate of the skill has a collision-free plan for every stage.
-            RoboximError: When the planner cannot be asked.
+            RoboximError: When the planner does not answer.
         """
-        asked = replace(task, drawn={}), replace(scene, cameras=()), seed
+        request = replace(task, drawn={}), replace(scene, cameras=()), seed
         for known, solution in self._kept:
-            if known == asked:
+            if known == request:
                 return solution
         solution, *_ = solve_all(self._solver, self._view(task, scene), seed)
-        self._kept.append((asked, solution))
+        self._kept.append((request, solution))
         return solution
 
     def holds(self, task: TaskSpec, scene: SceneSpec, seed: int) -> bool:
@@ -80,7 +80,7 @@ class Solvability:
             seed: Seed of the planner's detours.
 
         Raises:
-            RoboximError: When the planner cannot be asked.
+            RoboximError: When the planner does not answer.
         """
         try:
             self.solution(task, scene, seed)
@@ -98,7 +98,7 @@ class Solvability:
             scene: Its scene.
 
         Raises:
-            RoboximError: When the planner cannot be asked.
+            RoboximError: When the planner does not answer.
         """
         names = {thing.entity for thing in task_distractors(task)}
         alone = replace(scene, entities=tuple(entity for entity in scene.entities if entity.name not in names))

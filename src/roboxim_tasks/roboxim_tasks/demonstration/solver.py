@@ -159,7 +159,7 @@ class Solver:
             clearance_m: Clearance of the motion from distractors, and of the arm from everything [m].
 
         Raises:
-            RoboximError: When the planner cannot be asked.
+            RoboximError: When the planner does not answer.
         """
         path = [tuple(row) for row in solution.path]
         blocked = self._verify(view, solution.stages, solution.reference, path, clearance_m)
@@ -173,7 +173,7 @@ class Solver:
             solution: The solution of the same scene as drawn.
 
         Raises:
-            RoboximError: When the planner cannot be asked.
+            RoboximError: When the planner does not answer.
         """
         commands = view.state.robot.joint_commands
         if len(commands) != solution.path.shape[1] or np.abs(solution.path[0] - commands).max() > START_TOLERANCE_RAD:

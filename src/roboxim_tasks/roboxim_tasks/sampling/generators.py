@@ -323,7 +323,7 @@ def _distractor(
             break
     unnamed = sorted(objects.keys() - context.wording.named)
     raise TaskError(
-        f"no distractor can be told from {sorted(description(thing) for thing in objects.values())}: "
+        f"no distractor can be distinguished from {sorted(description(thing) for thing in objects.values())}: "
         f"distractor_distinct refused all of {drawn} draws; "
         "give distractors.modifiers.color or distractors.models more values"
         + "".join(f"; '{context.template}' does not name the {r}, so nothing else may be one" for r in unnamed),

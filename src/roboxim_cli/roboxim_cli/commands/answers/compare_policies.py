@@ -48,7 +48,7 @@ def command(
         task_config=task_text(task), scenes=episodes, seed=seed, run=RunConfig(image_width=width, image_height=height)
     )
 
-    def told(scene: SceneComparison) -> None:
+    def print_scene(scene: SceneComparison) -> None:
         ends = ["succeeds" if success else "fails" for success in scene.outcome]
         text = f"scene {scene.scene}: {one.name} {ends[0]}, {two.name} {ends[1]}"
         if scene.diverge_at is not None:
@@ -60,7 +60,7 @@ def command(
         click.echo(text, err=as_json)
 
     with TryBench() as bench:
-        found = compare(bench, bench.actor(one), bench.actor(two), config, on_scene=told)
+        found = compare(bench, bench.actor(one), bench.actor(two), config, on_scene=print_scene)
         runs = bench.runs
     sentences = summary((one.name, two.name), found)
     if as_json:

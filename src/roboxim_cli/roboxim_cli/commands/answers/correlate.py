@@ -47,11 +47,11 @@ def command(
         raise ConfigError(f"--names: expected two names with a comma between them, got '{names}'")
     found = correlated(table, ours, seed=seed)
     needed = None if no_plan else needed_policies(found, limit=limit, seed=seed)
-    said = sentences(found, (both[0], both[1]))
+    found_sentences = sentences(found, (both[0], both[1]))
     if as_json:
         data = dataclasses.asdict(found) | {"needed": None if needed is None else dataclasses.asdict(needed)}
         data["pearson"]["value"] = None if math.isnan(found.pearson.value) else found.pearson.value
-        click.echo(json.dumps({**data, "sentences": said}, indent=2))
+        click.echo(json.dumps({**data, "sentences": found_sentences}, indent=2))
         return
     width = max(len(policy.name) for policy in found.policies)
     click.echo(f"{'':<{width}}  {both[0]:>12}  {both[1]:>12}")
@@ -61,7 +61,7 @@ def command(
             for rate, side in zip(policy.rates, (policy.first, policy.second), strict=True)
         )
         click.echo(f"{policy.name:<{width}}  {one:>12}  {two:>12}")
-    for sentence in said:
+    for sentence in found_sentences:
         click.echo(sentence)
     if needed is not None:
         click.echo(needed.sentence)

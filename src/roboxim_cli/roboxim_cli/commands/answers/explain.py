@@ -46,12 +46,12 @@ def command(
     policies = chosen([policy], checkpoints, policy_options)
     info = BagReader(find_episode(place, number).bag).info
 
-    def told(tally: Tally) -> None:
+    def print_tally(tally: Tally) -> None:
         click.echo(f"  {tally.words}: {tally.successes} of {tally.runs}", err=as_json)
 
     click.echo(f"{info.episode_id}: {info.task.instruction}", err=as_json)
     with TryBench() as bench:
-        found = explain(bench, info, bench.actor(policies[0]), config, on_tally=told)
+        found = explain(bench, info, bench.actor(policies[0]), config, on_tally=print_tally)
         runs = bench.runs
     if as_json:
         click.echo(json.dumps(dataclasses.asdict(found) | {"sentence": found.sentence, "runs": runs}, indent=2))

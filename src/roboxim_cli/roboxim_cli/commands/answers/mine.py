@@ -57,12 +57,12 @@ def command(
         run=RunConfig(image_width=width, image_height=height),
     )  # fmt: skip
 
-    def told(number: int, failed: bool | None) -> None:
+    def print_rollout(number: int, failed: bool | None) -> None:
         if number % 10 == 9:
             click.echo(f"{number + 1} scenes", err=True)
 
     with TryBench() as bench:
-        found = mine(bench, bench.actor(one), config, out=out, on_rollout=told)
+        found = mine(bench, bench.actor(one), config, out=out, on_rollout=print_rollout)
     if as_json:
         click.echo(json.dumps(dataclasses.asdict(found), indent=2))
         return

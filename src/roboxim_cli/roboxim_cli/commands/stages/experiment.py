@@ -396,7 +396,7 @@ def _sized(
     name: str, config: ExperimentConfig, rates: Rates, seconds: float, trainer: str, trainings: int,
     cards: tuple[Path, ...],
 ) -> tuple[ExperimentConfig, list[str]]:  # fmt: skip
-    """Return the experiment that a time buys, and what is to be said about it.
+    """Return the experiment that a time buys, and notes about it.
 
     Raises:
         ConfigError: When no size fits, or a card is none to learn from.

@@ -421,11 +421,11 @@ def _filled(template: str, descriptions: Mapping[str, str]) -> str:
     A description may name a drawer, as in "Put the cube into the top drawer of the white cabinet".
     """
 
-    def said(name: str) -> str:
+    def pattern(name: str) -> str:
         return rf"(?:[\w-]+ drawer of the )?{re.escape(descriptions[name])}" if name in descriptions else ".+"
 
     parts = Formatter().parse(template)
-    return "".join(re.escape(literal) + (said(name) if name else "") for literal, name, _, _ in parts)
+    return "".join(re.escape(literal) + (pattern(name) if name else "") for literal, name, _, _ in parts)
 
 
 def _words(demand: Demand, shown: Shown) -> Iterator[str]:

@@ -71,7 +71,7 @@ def measure_side_by_side(
 
 
 class _MeasuredTraining:
-    """A training of bc that goes on until it is killed, and the times at which it told its steps."""
+    """A training of bc that goes on until it is killed, and the times at which it reported its steps."""
 
     def __init__(self, dataset: Path, out: Path, seed: int) -> None:
         self.seen: list[tuple[float, int]] = []
@@ -86,7 +86,7 @@ class _MeasuredTraining:
             self._process = started(self._words, log, self._reports.path)
 
     def read(self) -> None:
-        """Read what it has told.
+        """Read what it has reported.
 
         Raises:
             RoboximError: When it has ended.

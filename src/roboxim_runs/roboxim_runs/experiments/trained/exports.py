@@ -53,7 +53,7 @@ def export_config(form: str, options: Mapping[str, Any], *, source: str = "datas
 
 
 def convention_file(form: str, options: Mapping[str, Any], folder: Path) -> Path:
-    """Return the file beside a dataset that says how a policy that was trained with it is asked.
+    """Return the file beside a dataset that says what a policy that was trained with it is sent.
 
     Args:
         form: Format of the dataset.
@@ -81,10 +81,10 @@ def require_readable(config: ExperimentConfig, trainer: TrainerConfig) -> None:
         options = {**trainer.export, **dataset.export}
         export_config(trainer.format, options, source=source)
         trained = any(condition.train == name for condition in config.conditions.values())
-        asked = trainer.options.get("convention", "{convention}")
-        if trained and dataset.export and asked not in ("{convention}", options.get("convention")):
+        convention = trainer.options.get("convention", "{convention}")
+        if trained and dataset.export and convention not in ("{convention}", options.get("convention")):
             raise ConfigError(
-                f"{source}: the trainer's policy is asked in convention '{asked}', whatever it was trained with; write "
+                f"{source}: the trainer's policy uses convention '{convention}', whatever it was trained with; write "
                 "options: {convention: '{convention}'} in the trainer, or choose another one (--trainer)"
             )
         if trained and trainer.is_own and options.get("convention"):

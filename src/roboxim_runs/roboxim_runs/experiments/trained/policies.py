@@ -28,18 +28,18 @@ def policy_of(design: Design, stage: Stage, given: Mapping[str, PolicySpec], out
     Raises:
         ConfigError: When the expert is to receive other words.
     """
-    asked = _Asked.of(design, stage, out)
-    if (named := asked.named(given)) is not None:
+    evaluated = _Evaluated.of(design, stage, out)
+    if (named := evaluated.named(given)) is not None:
         return named
-    if not asked.trained_here:
+    if not evaluated.trained_here:
         return None
-    policy = PolicySpec(spec=design.trainer.policy, options=design.trainer.filled_options(**asked.values))
-    return _worded(policy, asked.condition, asked.instruction)
+    policy = PolicySpec(spec=design.trainer.policy, options=design.trainer.filled_options(**evaluated.values))
+    return _worded(policy, evaluated.condition, evaluated.instruction)
 
 
 def is_named(design: Design, stage: Stage, given: Mapping[str, PolicySpec], out: Path) -> bool:
     """Return whether the user names the policy of an evaluation; for the arguments see `policy_of`."""
-    return _Asked.of(design, stage, out).named(given) is not None
+    return _Evaluated.of(design, stage, out).named(given) is not None
 
 
 def server_of_policy(design: Design, stage: Stage, given: Mapping[str, PolicySpec], out: Path) -> Server | None:
@@ -54,15 +54,15 @@ def server_of_policy(design: Design, stage: Stage, given: Mapping[str, PolicySpe
     Raises:
         ConfigError: When the trainer's ``serve`` or its ``url`` is wrong.
     """
-    asked, trainer = _Asked.of(design, stage, out), design.trainer
-    if not trainer.serve or not asked.trained_here or asked.named(given) is not None:
+    evaluated, trainer = _Evaluated.of(design, stage, out), design.trainer
+    if not trainer.serve or not evaluated.trained_here or evaluated.named(given) is not None:
         return None
-    url = trainer.filled_options(**asked.values)["url"]
-    return server_of(trainer.serve, url, **asked.values)
+    url = trainer.filled_options(**evaluated.values)["url"]
+    return server_of(trainer.serve, url, **evaluated.values)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Asked:
+class _Evaluated:
     """The policy that an evaluation asks for."""
 
     condition: str
@@ -77,7 +77,7 @@ class _Asked:
     """Placeholder of the trainer's options to its value."""
 
     @staticmethod
-    def of(design: Design, stage: Stage, out: Path) -> _Asked:
+    def of(design: Design, stage: Stage, out: Path) -> _Evaluated:
         """Return what an evaluation of an experiment in a folder asks for."""
         name, replicate = stage.name.removeprefix("evaluate/").rsplit(".", 1)
         replicate, _, step = replicate.partition("@")
@@ -95,7 +95,7 @@ class _Asked:
                 "convention": str(convention_file(design.trainer.format, options, folder)),
                 "condition": base, "replicate": replicate,
             }  # fmt: skip
-        return _Asked(
+        return _Evaluated(
             condition=name, instruction=condition.instruction, base=base, replicate=replicate, step=step,
             trained_here=trained_here, values=values,
         )  # fmt: skip

@@ -28,7 +28,7 @@ from roboxim_runs.training.commands import last_lines, started
 START_S = 900.0
 """Longest time until a server answers: large models are loaded, and compiled [s]."""
 POLL_S = 0.2
-"""Period at which a starting server is asked [s]."""
+"""Period at which a starting server is polled [s]."""
 END_S = 20.0
 """Time for a server to end by itself [s]."""
 CONNECT_S = 2.0
