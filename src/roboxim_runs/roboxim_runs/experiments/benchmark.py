@@ -128,7 +128,7 @@ def run_benchmark(
             share_seed(seed, out / name)
         result = run_experiment(
             ExperimentRunConfig(
-                **{**shared, "out": out / name}, experiment=name, changes=changes, benchmark=config.benchmark,
+                **shared, experiment=name, out=out / name, changes=changes, benchmark=config.benchmark,
                 policies=_policies_of(name, config.policies),
                 trained=checked_path(config.trained) / name if config.trained else "",
             ),

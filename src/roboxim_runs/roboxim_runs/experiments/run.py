@@ -34,12 +34,7 @@ from roboxim_runs.executors import Cancellation, Executor, KeptProcesses
 from roboxim_runs.executors.protocol import as_json
 from roboxim_runs.experiments.calibration.learned import rates_of_run
 from roboxim_runs.experiments.calibration.rates import store_rates, stored_rates
-from roboxim_runs.experiments.card import (
-    DRAWING,
-    STAGES_FILE,
-    collect_card,
-    collect_proofs,
-)
+from roboxim_runs.experiments.card import DRAWING, STAGES_FILE, collect_card, collect_proofs
 from roboxim_runs.experiments.checks import (
     changed_after_results,
     require_definitions,
@@ -58,12 +53,7 @@ from roboxim_runs.experiments.provenance import (
     attestation_template,
     folder_sha256,
 )
-from roboxim_runs.experiments.report import (
-    STATE_FILE,
-    ExperimentFolder,
-    write_card,
-    write_experiment_report,
-)
+from roboxim_runs.experiments.report import STATE_FILE, ExperimentFolder, write_card, write_experiment_report
 from roboxim_runs.experiments.scene_leakage import scene_leakage
 from roboxim_runs.experiments.scenes.again import scenes_of
 from roboxim_runs.experiments.scenes.fresh import COMMITTED, in_scenes_of
@@ -102,8 +92,6 @@ class SharedRunConfig:
 
     scale: str = "full"
     """One of the scales of the file, or of a benchmark's experiments."""
-    out: Path | str
-    """The run's folder; a benchmark's has a subfolder for each experiment."""
     trainer: str = ""
     """Trainer: a name in the file or in ``config/trainers``, or a YAML file; empty: the file's first one."""
     only: tuple[str, ...] = KINDS
