@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from played_answers import PlayingServer, in_convention, play_expert
 
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_core.actions import ActionSemantics
@@ -26,7 +27,6 @@ from roboxim_policies.wires.openpi import OpenPiWire
 from roboxim_runs.episodes.expert_episode import expert_episode
 from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
 from roboxim_runs.policies.dry_run import ASKED, check_policy, save_sheet
-from roboxim_runs.policies.known_answers import PlayingServer, in_convention, play_expert
 from roboxim_runs.policies.specs import PolicySpec
 
 

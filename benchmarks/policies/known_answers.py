@@ -9,6 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 from benchmarks._harness import Bench
+from played_answers import play_episode
 
 from roboxim_core.config import digest, to_plain
 from roboxim_core.config_folders import config_names
@@ -16,7 +17,6 @@ from roboxim_core.conventions import Convention, load_convention
 from roboxim_core.errors import EvaluationError
 from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_runs.episodes.expert_episode import expert_episode
-from roboxim_runs.policies.known_answers import play_episode
 
 
 def main() -> None:

@@ -11,12 +11,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scene_measures import MEASURES, scene_measures
 
 from roboxim_core.actions import hold_action
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow
-from roboxim_runs.answers.measures import MEASURES, scene_measures
 from roboxim_runs.policies.planted import PlantedPolicy
 
 Condition = Mapping[str, Any]
@@ -32,7 +32,7 @@ class FailsWhere(PlantedPolicy):
         """Plant the conditions.
 
         Args:
-            conditions: Each is a mapping of measures, see `roboxim_runs.answers.measures`, e.g.
+            conditions: Each is a mapping of measures, see `scene_measures`, e.g.
                 ``[{distractors: [1, 9]}, {x: [0.3, 0.4], light: [0, 1.5]}]``: fails with a distractor, and also where
                 the object is near and the light is dim.
             options: Those of `PlantedPolicy`.

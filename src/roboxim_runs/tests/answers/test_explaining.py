@@ -7,6 +7,7 @@ import time
 import pytest
 import yaml
 from planted_causes import FailsWhere
+from scene_measures import scene_measures
 
 from roboxim_bringup.core_graph import CoreActor
 from roboxim_core.config_folders import named_config
@@ -16,7 +17,6 @@ from roboxim_core.plain_data.merging import merged
 from roboxim_core.seeds import SeedPath
 from roboxim_runs.answers.changes import changes_of
 from roboxim_runs.answers.explaining import ExplainConfig, explain
-from roboxim_runs.answers.measures import scene_measures
 from roboxim_runs.answers.trying import TryBench
 
 CHANGED = {

@@ -1,4 +1,4 @@
-"""Numbers and words that describe a drawn scene: by which planted policies fail, and mined regions are named."""
+"""Numbers and words that describe a drawn scene: by which planted policies fail."""
 
 from __future__ import annotations
 
