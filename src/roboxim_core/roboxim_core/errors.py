@@ -223,7 +223,7 @@ def one_of(choices: Iterable[str], given: str) -> str:
 
 def nearest(choices: Iterable[str], given: str) -> str:
     """Return a hint at what was probably meant, e.g. ``"did you mean 'cube'?"``; empty: none is near, nor holds it."""
-    names = list(choices)
+    names = [str(name) for name in choices]  # a member of an enumeration would be shown as code
     close = difflib.get_close_matches(given[:200], names, n=1)
     close = close or [name for name in names if len(given) > 2 and given.lower() in name][:3]
     return f"did you mean {' or '.join(repr(name) for name in close)}?" if close else ""
