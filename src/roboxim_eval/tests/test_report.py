@@ -225,6 +225,9 @@ def test_policies_are_compared_scene_by_scene():
     assert [[one["number"] for one in group["films"]] for group in groups] == [[1, 5], [3, 7], [2, 6], [0, 4]], (
         "films of one scene are side by side, scenes that tell the policies apart first"
     )
+    once = [replace(episode, outcome="failure" if i == 3 or i > 3 else "success") for i, episode in enumerate(episodes)]
+    groups = film_groups(once, dict.fromkeys(range(8), frames), ("a", "b"))
+    assert [group["films"][0]["number"] for group in groups] == [0, 3, 1, 2], "the only failure of the better is second"
 
 
 def test_what_a_reader_compares_is_never_pooled():

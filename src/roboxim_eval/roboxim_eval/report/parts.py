@@ -84,7 +84,10 @@ def _who(solved: Sequence[str], arms: Sequence[str]) -> str:
 def film_groups(
     episodes: Sequence[Episode], films: Mapping[int, Film], arms: Sequence[str]
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Return the films by scene, side by side for each scene; scenes that some arm did not solve come first.
+    """Return the films by scene, side by side for each scene: the first of each pattern of outcomes, then the second.
+
+    So a failure that happened once is not behind many scenes that look alike. Of each round, scenes in which outcomes
+    differ come first, then those that nobody solved.
 
     Args:
         episodes: All episodes of the page.
@@ -102,13 +105,13 @@ def film_groups(
         }
         for numbers in scenes.values()
     ]
-    return sorted(groups, key=_solved)
-
-
-def _solved(group: Mapping[str, Any]) -> tuple[int, float]:
-    """Sort scenes: those in which outcomes differ, then failures, then successes."""
-    won = [one["episode"].success for one in group["films"]]
-    return int(len(set(won)) < 2), sum(won) / len(won)
+    alike: Counter[tuple[bool, ...]] = Counter()
+    order = []
+    for group in groups:
+        won = tuple(one["episode"].success for one in group["films"])
+        order.append((alike[won], len(set(won)) < 2, sum(won) / len(won)))
+        alike[won] += 1
+    return [groups[index] for index in sorted(range(len(groups)), key=order.__getitem__)]
 
 
 def films_shown(episodes: Sequence[Episode], films: Mapping[int, Film]) -> str:
