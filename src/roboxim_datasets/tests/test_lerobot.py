@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -312,3 +315,17 @@ def test_depth_and_segmentation_are_compared_between_formats(tmp_path: Path) -> 
 
         b.read = edited
         assert text in str(compare(a, b).differences[0])
+
+
+def test_writing_videos_takes_no_real_time_priority(tmp_path):
+    """The AV1 encoder takes it as root, and then keeps every other process from the cores."""
+    script = (
+        "import os, sys\nfrom fractions import Fraction\nfrom roboxim_datasets.video.worker import Encoding\n"
+        "video = Encoding(sys.argv[1], codec='av1', rate=Fraction(10), height=64, width=64)\n"
+        "video.add(bytearray(64 * 64 * 3))\n"
+        "print({os.sched_getscheduler(int(thread)) for thread in os.listdir('/proc/self/task')})\nvideo.close()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path / "v.mp4")], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert done.stdout.strip() == str({os.SCHED_OTHER})

@@ -60,6 +60,8 @@ class Encoding:
             )
             frame.pts, frame.time_base = self.frames, 1 / self._rate
             self._write(self._stream.encode(frame))
+            if not self.frames:
+                give_up_priority()
             self.frames += 1
 
     def close(self) -> Header:
@@ -72,6 +74,17 @@ class Encoding:
         for packet in packets:
             packet.duration = 1
             self._container.mux(packet)
+
+
+def give_up_priority() -> None:
+    """Make every thread of this process an ordinary one again.
+
+    The AV1 encoder makes the thread that calls it a real-time one, with its own threads, where it may: for root, as in
+    a container. They would keep everything else from the cores.
+    """
+    for thread in os.listdir("/proc/self/task"):
+        with contextlib.suppress(OSError):  # e.g. it has ended
+            os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
 
 
 def opened(path: str, most_pixels: int = _MOST_PIXELS) -> Any:

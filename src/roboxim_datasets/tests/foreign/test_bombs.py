@@ -184,6 +184,8 @@ def video(path: Path, codec: str = "libx264", side: int = SIDE) -> bytes:
     """A video of a colour."""
     import av
 
+    from roboxim_datasets.video.worker import give_up_priority
+
     with av.open(str(path), "w", format="mp4") as file:
         stream = file.add_stream(codec, rate=10)
         stream.width = stream.height = side
@@ -191,6 +193,7 @@ def video(path: Path, codec: str = "libx264", side: int = SIDE) -> bytes:
         for _ in range(ROWS):
             file.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((side, side, 3), np.uint8), format="rgb24")))
         file.mux(stream.encode(None))
+    give_up_priority()
     return path.read_bytes()
 
 
