@@ -97,7 +97,7 @@ def film_groups(
     scenes: dict[tuple[int, str, str], list[int]] = {}
     for number in sorted(films, key=lambda number: arms.index(episodes[number].arm)):
         scenes.setdefault(episodes[number].scene_key, []).append(number)
-    groups = [
+    groups: list[dict[str, Any]] = [
         {
             "instruction": episodes[numbers[0]].instruction,
             "name": ", ".join(filter(None, (episodes[numbers[0]].cell, f"scene {episodes[numbers[0]].scene}"))),
