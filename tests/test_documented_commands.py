@@ -63,6 +63,7 @@ NOT_RUN = {
     r"^audit-benchmark (gymnasium_robotics|metaworld):": "environments of others",
     r"--renderer photo": "Blender, which `make photo` installs: test_photo.py",
     r"^(assets check pepper_mill|tasks sample --skill shake|generate --skill shake)": "test_worked_example.py",
+    r"^view push_at_night": "the page's files: test_worked_example.py",
     r"^gymnasium serve|^studio ": "serve until they are stopped: test_gymnasium.py, roboxim_studio/tests",
 }
 """Pattern of a command to the reason why it is not run here, and what runs it instead."""
