@@ -139,6 +139,6 @@ def test_a_foreign_dataset_in_the_page(studio, foreign, chromium):
     chromium.wait(f"!!({panda})")
     chromium.run(f"({panda}).click()")
     chromium.wait("document.querySelector('#dataset-arm')?.innerText.includes('as the joints of panda')")
-    chromium.click("Measure the actions of all episodes")
+    chromium.click("Measure all episodes")
     chromium.wait("document.querySelector('#action-facts')?.innerText.includes('10 actions of 2 episodes')")
     assert not chromium.errors
