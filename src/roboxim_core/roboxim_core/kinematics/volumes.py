@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
@@ -16,7 +17,7 @@ from roboxim_core.poses import Pose
 
 
 class LinkVolumes:
-    """Collision shapes of an arm and its gripper. Not thread-safe (kinematics)."""
+    """Collision shapes of an arm and its gripper. One call at a time computes: threads share `link_volumes`."""
 
     def __init__(self, model: RobotModel) -> None:
         """Load the shapes of the model's URDF.
@@ -26,7 +27,7 @@ class LinkVolumes:
         """
         import pinocchio as pin
 
-        self._arm = ArmKinematics(model)
+        self._arm, self._lock = ArmKinematics(model), threading.Lock()
         whole = pin.buildModelFromUrdf(str(model.urdf))
         folders = [str(folder) for folder in model.urdf.resolve().parents]
         found = pin.buildGeomFromUrdf(whole, str(model.urdf), pin.GeometryType.COLLISION, package_dirs=folders)
@@ -56,8 +57,9 @@ class LinkVolumes:
 
         low, high = np.asarray(lower, float), np.asarray(upper, float)
         box, middle = coal.Box(*(high - low).tolist()), coal.Transform3s(np.eye(3), (low + high) / 2)
-        base = tcp @ self._arm.fk(joints).inverse()
-        links = self._arm.link_poses(joints, fingers)
+        with self._lock:
+            base = tcp @ self._arm.fk(joints).inverse()
+            links = self._arm.link_poses(joints, fingers)
         found = set()
         for link, shape, place in self._shapes:
             if link not in found:
