@@ -34,8 +34,12 @@ MOST_CORRELATION = 0.97
 
 
 @lru_cache(maxsize=1)
-def _grid() -> tuple[Array, Array, Array]:
-    """Return the bounds of the intervals of means, shape (MEANS + 1,), and the beta distributions' parameters."""
+def _grid() -> tuple[Array, Array, Array, Array]:
+    """Return the bounds of the intervals of means, shape (MEANS + 1,), and the beta distributions.
+
+    Of the distributions: both parameters and the logarithm of their beta function, each of shape (MEANS, SPREADS).
+    """
+    from scipy.special import betaln
     from scipy.stats import halfnorm
 
     edges = (1 - np.cos(np.pi * np.arange(MEANS + 1) / MEANS)) / 2  # equal parts of Jeffreys's prior
@@ -43,16 +47,17 @@ def _grid() -> tuple[Array, Array, Array]:
     spreads = halfnorm.ppf((np.arange(SPREADS) + 0.5) / SPREADS) * SCALE
     correlation = np.minimum(spreads**2 / (means * (1 - means)), MOST_CORRELATION)
     size = 1 / correlation - 1
-    return edges, means * size, (1 - means) * size
+    alpha, beta = means * size, (1 - means) * size
+    return edges, alpha, beta, betaln(alpha, beta)
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=512)  # 32 kB each
 def _log_likelihood(successes: float, episodes: float) -> Array:
     """Return the logarithm of a training's likelihood, up to a constant, shape (MEANS, SPREADS)."""
     from scipy.special import betaln
 
-    _, alpha, beta = _grid()
-    found: Array = betaln(alpha + successes, beta + episodes - successes) - betaln(alpha, beta)
+    _, alpha, beta, log_beta = _grid()
+    found: Array = betaln(alpha + successes, beta + episodes - successes) - log_beta
     return found
 
 
