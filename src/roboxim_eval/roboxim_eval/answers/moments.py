@@ -100,8 +100,14 @@ def summary(names: tuple[str, str], found: Sequence[SceneComparison]) -> tuple[s
         decided = [one for one in mine if one.decides_at is not None]
         if mine:
             phases = Counter(one.phase for one in decided).most_common()
-            where = ", ".join(f"{name} in {many}" for name, many in phases) or "no moment was found"
-            sentences.append(f"Where {winner} succeeds and {loser} fails, what decides is: {where} (of {len(mine)}).")
+            parts = [f"{name} in {many}" for name, many in phases]
+            if len(decided) < len(mine):
+                never = len(mine) - len(decided)
+                parts.append(f"no moment in {never}, where {loser} fails even if it acts in the last tick alone")
+            sentences.append(
+                f"Of the scenes where {winner} succeeds and {loser} fails ({len(mine)}), what decides is: "
+                f"{'; '.join(parts)}."
+            )
     return tuple(sentences)
 
 

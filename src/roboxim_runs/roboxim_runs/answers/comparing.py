@@ -30,6 +30,7 @@ class CompareRun:
 def compare(
     bench: TryBench, first: ActorPort, second: ActorPort, config: CompareRun, *,
     on_scene: Callable[[SceneComparison], None] = lambda _: None,
+    on_part: Callable[[int, str], None] = lambda _number, _part: None,
 ) -> list[SceneComparison]:  # fmt: skip
     """Compare two policies.
 
@@ -39,6 +40,7 @@ def compare(
         second: Another one of the same control mode.
         config: What is compared.
         on_scene: Called with each scene.
+        on_part: Called before each run with the scene's number and what runs, in a few words.
 
     Raises:
         ConfigError: When the policies act by different control modes.
@@ -51,18 +53,20 @@ def compare(
     for number in range(config.scenes):
         seed = SeedPath(run_seed=config.seed, purpose="eval", index=number)
         draw = bench.graph.tasks.draw(seed, config.task_config)
-        one = _Scene(bench, draw, seed, config.run).compared(first, second)
+        one = _Scene(bench, draw, seed, config.run, on_part).compared(first, second)
         found.append(one)
         on_scene(one)
     return found
 
 
 class _Scene:
-    def __init__(self, bench: TryBench, draw: Draw, seed: SeedPath, run: RunConfig) -> None:
-        self._bench, self._draw, self._seed, self._run = bench, draw, seed, run
+    def __init__(
+        self, bench: TryBench, draw: Draw, seed: SeedPath, run: RunConfig, on_part: Callable[[int, str], None]
+    ) -> None:
+        self._bench, self._draw, self._seed, self._run, self._on_part = bench, draw, seed, run, on_part
 
     def compared(self, first: ActorPort, second: ActorPort) -> SceneComparison:
-        one, two = (self._bench.run(self._draw, actor, self._seed, config=self._run) for actor in (first, second))
+        one, two = (self._alone(name, actor) for name, actor in (("first", first), ("second", second)))
         parted = diverging(one, two)
         outcome = (one.success, two.success)
         result = SceneComparison(scene=self._seed.index, outcome=outcome, diverge_at=parted)
@@ -83,12 +87,17 @@ class _Scene:
         phase = "" if decides is None else phase_at(winner.states, decides)
         return replace(result, decides_at=decides, rescued_until=until, phase=phase, ticks=end)
 
+    def _alone(self, name: str, actor: ActorPort) -> Try:
+        self._on_part(self._seed.index, f"the {name} policy runs")
+        return self._bench.run(self._draw, actor, self._seed, config=self._run)
+
     def _success(self, before: Try, tick: int, then: ActorPort) -> bool:
         """Return whether an actor succeeds from a tick of another one's episode.
 
         Raises:
             SimError: With code ``DIVERGED`` when the simulator does not repeat the episode up to the tick.
         """
+        self._on_part(self._seed.index, f"swapped at tick {tick}")
         handed = HandOver(before.states, tick, then)
         after = self._bench.run(self._draw, handed, self._seed, config=self._run)
         for ours, theirs in zip(before.states[: tick + 1], after.states, strict=False):

@@ -82,7 +82,7 @@ def test_bisection_and_summary():
     even = SceneComparison(scene=1, outcome=(True, True), diverge_at=None)
     assert summary(("expert", "bc"), [lost, even]) == (
         "2 scenes: both succeed in 1, expert alone in 1, bc alone in 0, neither in 0.",
-        "Where expert succeeds and bc fails, what decides is: the grasp in 1 (of 1).",
+        "Of the scenes where expert succeeds and bc fails (1), what decides is: the grasp in 1.",
     )
 
 

@@ -31,11 +31,13 @@ def command(
     Where one succeeds and the other fails, both are swapped at a tick, from exactly the same state: the first tick from
     which the loser succeeds decides.
     """
+    import contextlib
     import dataclasses
     import json
 
     from roboxim_cli.commands.answers._policies import chosen
     from roboxim_cli.options import parse_size
+    from roboxim_cli.progress import ProgressLine
     from roboxim_core.episode import RunConfig
     from roboxim_eval.answers.moments import SceneComparison, summary
     from roboxim_runs.answers.comparing import CompareRun, compare
@@ -57,10 +59,23 @@ def command(
             text += f"; tick {scene.decides_at} of {scene.ticks} decides: {scene.phase}"
         if scene.rescued_until is not None:
             text += f"; rescued until tick {scene.rescued_until}"
-        click.echo(text, err=as_json)
+        if line is None:
+            click.echo(text, err=True)
+        else:
+            line.say(text)
 
-    with TryBench() as bench:
-        found = compare(bench, bench.actor(one), bench.actor(two), config, on_scene=print_scene)
+    def show_part(number: int, part: str) -> None:
+        if line is not None:
+            line.update(number, f"scene {number}: {part}")
+
+    with contextlib.ExitStack() as stack:
+        line = None if as_json else stack.enter_context(ProgressLine("comparing policies", episodes, unit="scenes"))
+        bench = stack.enter_context(TryBench())
+        found = compare(
+            bench, bench.actor(one), bench.actor(two), config, on_scene=print_scene, on_part=show_part
+        )  # fmt: skip
+        if line is not None:
+            line.update(episodes)
         runs = bench.runs
     sentences = summary((one.name, two.name), found)
     if as_json:
