@@ -22,7 +22,7 @@ from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.replay import replay
 from roboxim_recorder.run_bags import list_bags
 from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
-from roboxim_runs.datasets.replay_gate import BagFinder
+from roboxim_runs.datasets.bag_finder import BagFinder
 from roboxim_studio.acting.drive import Drive, continued
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.acting.partner import Partner
