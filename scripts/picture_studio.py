@@ -7,20 +7,24 @@ from __future__ import annotations
 
 import argparse
 import io
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
 from PIL import Image
 
+import roboxim
 from roboxim_bringup.graph import start_graph
 from roboxim_core.poses import Pose
 from roboxim_ros.host import NodeHost
 from roboxim_ros.runs import free_domain, register_run
 from roboxim_studio.acting.live import LiveGraph
 from roboxim_studio.app import DRIVE, GRAPH, SCENE, Studio
-from roboxim_studio.browser import Browser
+from roboxim_studio.browser import Browser, wait_for
 from roboxim_studio.editing import composition
 from roboxim_studio.editing import document as edits
+from roboxim_studio.opening import recognise
 
 DESKTOP, PHONE = (1440, 900), (390, 844)
 FILM_WIDTH = 960
@@ -86,7 +90,7 @@ def main() -> None:
         browser.wait("document.documentElement.dataset.studioConnected === 'true'")
         camera = Photographer(browser, folder)
         composed(studio, browser, camera)
-        scene(studio, camera)
+        scene(studio, browser, camera)
         episode(studio, browser, camera)
         studio.show(DRIVE)
         studio.drive.begin().result()
@@ -100,6 +104,8 @@ def main() -> None:
         browser.key("KeyF", down=False)
         camera.film("studio")
     running_graph(folder)
+    with tempfile.TemporaryDirectory() as work:
+        run_and_dataset(folder, Path(work))
     print(f"written into {folder}")
 
 
@@ -117,9 +123,7 @@ def composed(studio: Studio, browser: Browser, camera: Photographer) -> None:
     browser.wait("document.querySelector('#composed')?.innerText.includes('scene')")
     unfold(browser)
     camera.extra("studio_compose_phone")
-    browser.resize(*DESKTOP)
-    browser.open(studio.url)
-    browser.wait("document.documentElement.dataset.studioConnected === 'true'")
+    on_desktop(studio, browser)
 
 
 def unfold(browser: Browser) -> None:
@@ -136,6 +140,13 @@ def on_phone(studio: Studio, browser: Browser) -> None:
     browser.wait("document.documentElement.dataset.studioConnected === 'true'")
 
 
+def on_desktop(studio: Studio, browser: Browser) -> None:
+    """Open the page at the size of a desktop."""
+    browser.resize(*DESKTOP)
+    browser.open(studio.url)
+    browser.wait("document.documentElement.dataset.studioConnected === 'true'")
+
+
 def running_graph(folder: Path) -> None:
     """Show a running graph."""
     with free_domain() as domain, NodeHost(domain_id=domain) as host, register_run("up", domain=domain) as run:
@@ -146,10 +157,45 @@ def running_graph(folder: Path) -> None:
             browser.wait("document.querySelector('#live-facts')?.innerText.includes('tick')")
             assert studio.live is not None
             studio.live.select("red_cube")
-            Photographer(browser, folder).extra("studio_graph", 8.0)
+            camera = Photographer(browser, folder)
+            camera.extra("studio_graph", 8.0)
+            on_phone(studio, browser)
+            browser.wait("document.querySelector('#live-facts')?.innerText.includes('tick')")
+            camera.extra("studio_graph_phone", 8.0)
 
 
-def scene(studio: Studio, camera: Photographer) -> None:
+def run_and_dataset(folder: Path, work: Path) -> None:
+    """Show a run that goes on, then its dataset, each at the width of a desktop and of a phone."""
+    demos, dataset = work / "demos", work / "demos-lerobot"
+    words = [str(Path(sys.executable).parent / "roboxim"), "generate", "--skill", "put_into", "--look", "varied"]
+    with subprocess.Popen(
+        [*words, "--episodes", "24", "--workers", "2", "--out", str(demos)], stdout=subprocess.DEVNULL
+    ) as generating:
+        wait_for(lambda: len(list(demos.glob("episodes/*"))) >= 3, "three finished episodes", 300)
+        with Studio() as studio, Browser(width=DESKTOP[0], height=DESKTOP[1]) as browser:
+            studio.open(recognise(str(demos)))
+            browser.open(studio.url)
+            camera = Photographer(browser, folder)
+            browser.wait("document.body.innerText.includes('worker 0')")
+            camera.extra("studio_run", 6.0)
+            on_phone(studio, browser)
+            browser.wait("document.body.innerText.includes('worker 0')")
+            camera.extra("studio_run_phone", 6.0)
+        generating.terminate()
+    roboxim.export_lerobot(demos, dataset)
+    with Studio() as studio, Browser(width=DESKTOP[0], height=DESKTOP[1]) as browser:
+        studio.open(recognise(str(dataset)))
+        browser.open(studio.url)
+        browser.wait("document.querySelector('#dataset-arm')?.innerText.includes('in 3D')")
+        studio.dataset.step(30)
+        camera = Photographer(browser, folder)
+        camera.extra("studio_dataset", 6.0)
+        on_phone(studio, browser)
+        browser.wait("document.querySelector('#dataset-arm')?.innerText.includes('in 3D')")
+        camera.extra("studio_dataset_phone", 6.0)
+
+
+def scene(studio: Studio, browser: Browser, camera: Photographer) -> None:
     """Show a scene that is drawn, made invalid, mended, and solved."""
     studio.open_task("pick_cube_distractors").result()
     desk = studio.editor.desk
@@ -164,6 +210,9 @@ def scene(studio: Studio, camera: Photographer) -> None:
     camera.picture("studio_refused")
     desk.undo()
     desk.refresh().result()
+    on_phone(studio, browser)
+    camera.extra("studio_scene_phone")
+    on_desktop(studio, browser)
     studio.show(SCENE)
     studio.compose.solve().result()
 
@@ -193,6 +242,9 @@ def episode(studio: Studio, browser: Browser, camera: Photographer) -> None:
     for client in studio.site.viser.get_clients().values():
         client.camera.position, client.camera.look_at = (2.4, -0.85, 1.3), (0.4, -0.8, 0.1)
     camera.picture("studio_what_if")
+    on_phone(studio, browser)
+    camera.extra("studio_what_if_phone", 6.0)
+    on_desktop(studio, browser)
 
 
 if __name__ == "__main__":
