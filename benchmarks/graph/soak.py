@@ -38,7 +38,7 @@ CAMERAS = {"no cameras": "", "two cameras": "workspace, wrist"}
 SHARED_MEMORY = Path("/dev/shm")
 SETTLED = 0.5
 """Fraction of a stretch in which caches fill; growth is measured after it."""
-MOST_GROWTH = 5.0
+MAX_GROWTH = 5.0
 """Goal: growth of all processes together [MiB per 1,000 episodes]."""
 PANELS = {
     "memory_mib": "memory of all processes [MiB]",
@@ -92,7 +92,7 @@ def main() -> None:
             f"{len(left)} shared-memory segments are left behind in {SHARED_MEMORY}, or another run is going on"
         )
     worst = max(float(row["growth_mib_per_1000"]) for row in bench.rows)
-    bench.finish("growth of memory per 1,000 episodes, the worse part", worst, "MiB", at_most=MOST_GROWTH)
+    bench.finish("growth of memory per 1,000 episodes, the worse part", worst, "MiB", at_most=MAX_GROWTH)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -118,10 +118,10 @@ def _require_text(what: str, value: Any) -> None:
         )
 
 
-def _require_whole(what: str, value: Any, least: int, largest: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= largest:
+def _require_whole(what: str, value: Any, minimum: int, maximum: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
         raise InvalidRequestError(
-            f"{what} must be a whole number from {least} to {largest}, got {printable(value, 100, form=repr)}"
+            f"{what} must be a whole number from {minimum} to {maximum}, got {printable(value, 100, form=repr)}"
         )
 
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import EXECUTED, Episode, RGBImage, Step
-from roboxim_datasets.lerobot.layout import DEPTH_MOST, DEPTH_UNIT_M
+from roboxim_datasets.lerobot.layout import DEPTH_UNIT_M, MAX_DEPTH
 
 Images = Literal["auto", "exact", "psnr", "skip"]
 LOWEST_PSNR_DB = 30.0
@@ -244,7 +244,7 @@ def _different_maps(a: Step, b: Step, names: _Names) -> Iterator[tuple[str, str]
         if one.shape != other.shape:
             yield name, f"shape {one.shape} against {other.shape}"
             continue
-        known = [np.isfinite(rows) & (rows > 0) & (rows <= DEPTH_MOST * DEPTH_UNIT_M) for rows in (one, other)]
+        known = [np.isfinite(rows) & (rows > 0) & (rows <= MAX_DEPTH * DEPTH_UNIT_M) for rows in (one, other)]
         if not names.depth_apart_m and not np.array_equal(one, other, equal_nan=True):
             yield name, f"{int((one != other).sum())} of {one.size} pixels differ"
         elif not np.array_equal(known[0], known[1]):

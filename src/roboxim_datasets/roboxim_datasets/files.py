@@ -14,7 +14,7 @@ from pathlib import Path
 from roboxim_core.errors import ErrorCode, RecorderError, RoboximError, printable
 
 _LFS = b"version https://git-lfs.github.com/spec/"
-_LFS_MOST = 1024  # a pointer is smaller [B]
+_MAX_LFS_BYTES = 1024  # a pointer is smaller [B]
 
 
 def file_in(folder: Path, name: Path | str) -> Path:
@@ -40,7 +40,7 @@ def file_in(folder: Path, name: Path | str) -> Path:
         about = place.stat()
         if not stat.S_ISREG(about.st_mode):
             raise _bad(f"{path} is no regular file; only regular files are read")
-        if about.st_size < _LFS_MOST and place.read_bytes().startswith(_LFS):
+        if about.st_size < _MAX_LFS_BYTES and place.read_bytes().startswith(_LFS):
             raise _bad(f"{path} is a pointer of Git LFS, not the data; run 'git lfs pull' in its repository")
     except OSError as error:
         raise _bad(f"cannot read {printable(path)}: {error.strerror or error}") from None

@@ -15,12 +15,12 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
 from roboxim_core.vision.images import decode_image
 from roboxim_datasets.episode import ImageSize, RGBImage
 
-MOST_PIXELS = 2**26
+MAX_PIXELS = 2**26
 """Pixels of an image: 8192 x 8192. A file of a few bytes can claim more than any memory holds."""
-MOST_COMPONENTS = 2**16
+MAX_COMPONENTS = 2**16
 """Components of a vector."""
 _ALWAYS_READ = 2**23  # pixels
-_MOST_PER_BYTE = 1100  # pixels; PNG's deflate packs at most 1,032 bytes into one
+_MAX_PIXELS_PER_BYTE = 1100  # pixels; PNG's deflate packs at most 1,032 bytes into one
 _WIDE = ("I", "F")  # Pillow's modes of more than 8 bits a channel begin so
 
 
@@ -40,7 +40,7 @@ def head_of(data: bytes) -> PictureHead:
     """Read the head of an encoded picture.
 
     Raises:
-        RecorderError: With code ``BAG_DAMAGED`` when it is no picture, or claims more than `MOST_PIXELS` or bytes hold.
+        RecorderError: With code ``BAG_DAMAGED`` when it is no picture, or claims more than `MAX_PIXELS` or bytes hold.
     """
     try:
         with warnings.catch_warnings():
@@ -50,11 +50,11 @@ def head_of(data: bytes) -> PictureHead:
                 alpha = mode.endswith(("A", "a")) or "transparency" in picture.info
     except Exception as error:
         if isinstance(error, Image.DecompressionBombError):
-            raise _bad(f"a picture claims more than {MOST_PIXELS} pixels") from None
+            raise _bad(f"a picture claims more than {MAX_PIXELS} pixels") from None
         raise _bad(f"{len(data)} bytes that are no picture") from None
-    if width * height > MOST_PIXELS:
-        raise _bad(f"a picture claims {width} x {height} pixels; at most {MOST_PIXELS} are read")
-    if width * height > max(_ALWAYS_READ, _MOST_PER_BYTE * len(data)):
+    if width * height > MAX_PIXELS:
+        raise _bad(f"a picture claims {width} x {height} pixels; at most {MAX_PIXELS} are read")
+    if width * height > max(_ALWAYS_READ, _MAX_PIXELS_PER_BYTE * len(data)):
         raise _bad(f"a picture claims {width} x {height} pixels, which its {len(data)} bytes cannot hold")
     return PictureHead(size=ImageSize(height=height, width=width), deep=mode.startswith(_WIDE), alpha=alpha)
 

@@ -6,16 +6,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-MOST = 12
+MAX_NUMBERS = 12
 """Number of distinct numbers above which they are grouped into thirds."""
-MOST_NAMES = 60
+MAX_NAMES = 60
 """Number of distinct names above which a choice is not a dimension of a report, e.g. positions of a long list."""
 
 
 def grouped(values: Mapping[str, str]) -> dict[str, str]:
     """Return the group of each episode.
 
-    Names are groups themselves. More than `MOST` different numbers are divided into thirds with equal numbers of
+    Names are groups themselves. More than `MAX_NUMBERS` different numbers are divided into thirds with equal numbers of
     episodes, e.g. ``1.6 to 2.1``.
 
     Args:
@@ -25,12 +25,12 @@ def grouped(values: Mapping[str, str]) -> dict[str, str]:
         Episode id to group; empty if there are too many different names for groups.
     """
     different = set(values.values())
-    if len(different) <= MOST:
+    if len(different) <= MAX_NUMBERS:
         return dict(values)
     try:
         numbers = {episode: float(value) for episode, value in values.items()}
     except ValueError:
-        return dict(values) if len(different) <= MOST_NAMES else {}
+        return dict(values) if len(different) <= MAX_NAMES else {}
     limits = np.quantile(list(numbers.values()), [0, 1 / 3, 2 / 3, 1])
     names = [f"{low:.3g} to {high:.3g}" for low, high in zip(limits, limits[1:], strict=False)]
     places = np.searchsorted(limits[1:-1], list(numbers.values()), side="right")

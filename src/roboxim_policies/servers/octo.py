@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from openpi_server import Model, RequestError, arguments, picture_of, serve, text_of
 
 MASK = "timestep_pad_mask"
-MOST_TASKS = 256
+MAX_TASKS = 256
 """Number of instructions whose encodings are kept."""
 
 
@@ -139,7 +139,7 @@ class Octo(Model):
 
     def _task(self, text: str) -> Any:
         if text not in self._tasks:
-            if len(self._tasks) >= MOST_TASKS:
+            if len(self._tasks) >= MAX_TASKS:
                 self._tasks.clear()
             self._tasks[text] = self.model.create_tasks(texts=[text])
         return self._tasks[text]

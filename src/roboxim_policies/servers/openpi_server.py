@@ -34,7 +34,7 @@ import numpy as np
 
 MESSAGE_BYTES = 64 * 2**20
 """Largest message [bytes]."""
-MOST_CONNECTIONS = 32
+MAX_CONNECTIONS = 32
 """Largest number of connections at the same time."""
 OTHERS = b"the server belongs to another user of the machine; its owner can start it with --all-users"
 """Answer to a connection of another user."""
@@ -246,7 +246,7 @@ class _Listener(socket.socket):
     On a loopback address it also refuses other users of this machine, whom the kernel tells (Linux).
     """
 
-    most = 4 * MOST_CONNECTIONS
+    most = 4 * MAX_CONNECTIONS
 
     @classmethod
     def at(cls, host: str, port: int, all_users: bool) -> _Listener:
@@ -344,7 +344,7 @@ class Server:
         self.host, self.port = host, port
         self._all_users = all_users
         self._quiet = quiet
-        self._places = threading.Semaphore(MOST_CONNECTIONS)
+        self._places = threading.Semaphore(MAX_CONNECTIONS)
         self._connections: set = set()
         self._stops = False
 
@@ -386,7 +386,7 @@ class Server:
         from websockets.exceptions import ConnectionClosed
 
         if not self._places.acquire(blocking=False):
-            connection.close(1013, f"the server has {MOST_CONNECTIONS} connections already")
+            connection.close(1013, f"the server has {MAX_CONNECTIONS} connections already")
             return
         self._connections.add(connection)
         try:

@@ -26,7 +26,7 @@ SHAPE = (256, 320, 3)
 """Height, width and channels of the picture."""
 ACTIONS = {"world_vector": 3, "rotation_delta": 3, "gripper_closedness_action": 1}
 HISTORY = 15
-MOST_TEXTS = 256
+MAX_TEXTS = 256
 
 
 class Rt1(Model):
@@ -67,7 +67,7 @@ class Rt1(Model):
         if before not in (None, text):  # a new instruction is a new episode
             state = self._policy.initial_state()
         if text not in self._embeddings:
-            if len(self._embeddings) >= MOST_TEXTS:
+            if len(self._embeddings) >= MAX_TEXTS:
                 self._embeddings.clear()
             self._embeddings[text] = np.asarray(self._encoder(text), np.float32)
         image = picture_of(request, "image", HISTORY, SHAPE)[-1]

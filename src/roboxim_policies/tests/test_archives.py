@@ -21,7 +21,7 @@ def bomb(file: Path, name: str, values: np.ndarray) -> Path:
 
 
 def test_a_compressed_archive_is_refused_by_its_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checkpoint_file, "MOST_UNPACKED", 2**20)
+    monkeypatch.setattr(checkpoint_file, "MAX_UNPACKED", 2**20)
     actions = bomb(tmp_path / "actions.npz", "actions", np.zeros((2**21, 7), np.float32))
     checkpoint = bomb(tmp_path / "checkpoint.npz", "said", np.array("x" * 2**21))
     assert actions.stat().st_size < 2**17

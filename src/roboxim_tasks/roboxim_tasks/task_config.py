@@ -157,9 +157,9 @@ class TaskConfig:
         Raises:
             ConfigError: When a number is out of range.
         """
-        for name, least in (("max_steps", 0), ("max_draws", 1)):
-            if getattr(self, name) < least:
-                raise ConfigError(f"{name} must be >= {least}, got {getattr(self, name)}")
+        for name, minimum in (("max_steps", 0), ("max_draws", 1)):
+            if getattr(self, name) < minimum:
+                raise ConfigError(f"{name} must be >= {minimum}, got {getattr(self, name)}")
 
     def at(self, index: int) -> tuple[TaskConfig, int]:
         """Return the configuration of an episode and its index into ordered lists: this one and the given index."""

@@ -86,8 +86,8 @@ class ImageInput:
             InvalidRequestError: Naming the field and its range.
         """
         limits.require_name("camera", self.camera, topic=True)
-        for name, least in (("width", 1), ("height", 1), ("render_width", 0), ("render_height", 0)):
-            limits.require_range(f"{name} of image '{self.key}'", getattr(self, name), least, limits.IMAGE_PX)
+        for name, minimum in (("width", 1), ("height", 1), ("render_width", 0), ("render_height", 0)):
+            limits.require_range(f"{name} of image '{self.key}'", getattr(self, name), minimum, limits.IMAGE_PX)
         limits.require_range(f"jpeg_quality of image '{self.key}'", self.jpeg_quality, 0, 100)
         limits.require_range(f"crop_area of image '{self.key}'", self.crop_area, 0.01, 1.0)
 

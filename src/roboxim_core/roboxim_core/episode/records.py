@@ -112,8 +112,8 @@ class RunConfig:
         for name, value in vars(self).items():
             if isinstance(value, int | float) and not value >= 0 and name != "ensemble_decay":
                 raise InvalidRequestError(f"{name} must be >= 0, got {value}")
-        for name, most in LIMITS.items():
-            limits.require_range(name, getattr(self, name), 0, most)
+        for name, maximum in LIMITS.items():
+            limits.require_range(name, getattr(self, name), 0, maximum)
         limits.require_count("cameras", len(self.cameras), limits.CAMERAS)
         if self.ensemble_decay and not self.ensemble:
             raise InvalidRequestError(f"ensemble_decay {self.ensemble_decay:g} needs ensemble 'exponential'")

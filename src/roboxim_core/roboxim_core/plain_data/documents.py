@@ -46,8 +46,8 @@ def read_text(path: Path | str, max_bytes: int = limits.YAML_BYTES) -> str:
     try:
         with open(file, "rb") as stream:
             about = os.fstat(stream.fileno())  # read() takes memory for as much as it is asked for
-            most = min(max_bytes, max(about.st_size, 2**16)) if stat.S_ISREG(about.st_mode) else max_bytes
-            content = stream.read(most + 1)
+            limit = min(max_bytes, max(about.st_size, 2**16)) if stat.S_ISREG(about.st_mode) else max_bytes
+            content = stream.read(limit + 1)
         if len(content) > max_bytes:
             raise ConfigError(f"{file} is larger than {max_bytes} bytes")
         encoding = next((name for mark, name in _BYTE_ORDER_MARKS if content.startswith(mark)), encoding)

@@ -28,7 +28,7 @@ def response(pairs: Sequence[tuple[Values, Values]], scale: float) -> Values:
     """
     design = np.concatenate([_lagged(asked)[: len(measured)].reshape(-1, len(LAGS)) for asked, measured in pairs])
     goal = np.concatenate([measured.reshape(-1) for _, measured in pairs])
-    best, least = np.zeros(len(LAGS)), np.inf
+    best, lowest = np.zeros(len(LAGS)), np.inf
     for start in (np.eye(len(LAGS))[1], np.linalg.lstsq(design, goal, rcond=None)[0]):
         weights = start
         for _ in range(ROUNDS):
@@ -37,8 +37,8 @@ def response(pairs: Sequence[tuple[Values, Values]], scale: float) -> Values:
             root = np.sqrt(1 / (1 + (residual / spread) ** 2))
             weights = np.linalg.lstsq(design * root[:, None], goal * root, rcond=None)[0]
         left = float(np.median(np.abs(goal - design @ weights)))
-        if left < least:
-            best, least = weights, left
+        if left < lowest:
+            best, lowest = weights, left
     return np.asarray(best)
 
 

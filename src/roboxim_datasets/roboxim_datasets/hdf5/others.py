@@ -17,10 +17,10 @@ import numpy as np
 from roboxim_datasets.depth import camera_of, is_named_depth
 from roboxim_datasets.episode import ImageSize
 from roboxim_datasets.hdf5.tree import problem_of
-from roboxim_datasets.pictures import MOST_PIXELS
+from roboxim_datasets.pictures import MAX_PIXELS
 
 _ACTIONS = "actions"
-_MOST_NUMBERS = 1024  # of an observation that is read as a vector
+_MAX_NUMBERS = 1024  # of an observation that is read as a vector
 Shape = tuple[int, ...]
 
 
@@ -62,15 +62,15 @@ def reason_not_read(path: str, array: Array) -> str:
     if array.problem:
         return array.problem
     if path == _ACTIONS:
-        return "" if len(array.shape) <= 1 and 0 < array.size <= _MOST_NUMBERS else f"actions of shape {array.shape}"
+        return "" if len(array.shape) <= 1 and 0 < array.size <= _MAX_NUMBERS else f"actions of shape {array.shape}"
     if not path.startswith("obs/"):
         return "not an observation"
     if is_depth(path, array):
         return _reason_no_depth(array)
     if len(array.shape) == 3:
         return _reason_no_image(array)
-    if not 0 < array.size <= _MOST_NUMBERS:
-        return f"{array.size} numbers a step; at most {_MOST_NUMBERS} are read as a vector"
+    if not 0 < array.size <= _MAX_NUMBERS:
+        return f"{array.size} numbers a step; at most {_MAX_NUMBERS} are read as a vector"
     return ""
 
 
@@ -83,8 +83,8 @@ def is_depth(path: str, array: Array) -> bool:
 def _reason_no_depth(array: Array) -> str:
     if not array.dtype.startswith(("float", "uint16", "int", "uint32")):
         return f"depth images of {array.dtype}"
-    if not 0 < array.size <= MOST_PIXELS:
-        return f"depth images of {array.size} pixels; 1 to {MOST_PIXELS} are read"
+    if not 0 < array.size <= MAX_PIXELS:
+        return f"depth images of {array.size} pixels; 1 to {MAX_PIXELS} are read"
     return ""
 
 
@@ -94,8 +94,8 @@ def _reason_no_image(array: Array) -> str:
         return f"images of {array.dtype}; only colour images of uint8 are read"
     if channels != 3:
         return f"images of shape {array.shape}; only (height, width, 3) is read"
-    if not 0 < height * width <= MOST_PIXELS:
-        return f"images of {width} x {height} pixels; 1 to {MOST_PIXELS} are read"
+    if not 0 < height * width <= MAX_PIXELS:
+        return f"images of {width} x {height} pixels; 1 to {MAX_PIXELS} are read"
     return ""
 
 

@@ -17,11 +17,11 @@ import numpy as np
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_datasets.files import file_in, reading
 
-_COMPRESSED_MOST = 1100
+_MAX_COMPRESSION = 1100
 """Largest ratio of compression: deflate reaches 1,032."""
 _FREE_BYTES = 2**20
 """Size of an array without stored values that is believed [B]."""
-_TEXT_MOST = 2**24
+_MAX_TEXT_BYTES = 2**24
 """Size of an attribute that is read [B]."""
 
 
@@ -99,7 +99,7 @@ def problem_of(array: Any) -> str:
     if array.dtype.kind not in "fiub":
         return f"values of the type {array.dtype}"
     declared = math.prod(array.shape) * array.dtype.itemsize
-    if declared > _FREE_BYTES + _COMPRESSED_MOST * array.id.get_storage_size():
+    if declared > _FREE_BYTES + _MAX_COMPRESSION * array.id.get_storage_size():
         return f"it claims {declared} bytes, but the file holds {array.id.get_storage_size()}"
     return ""
 
@@ -124,7 +124,7 @@ def attributes(holder: Any) -> Mapping[str, str]:
     for name in holder.attrs:
         try:
             about = holder.attrs.get_id(name)
-            small = about.get_storage_size() <= _TEXT_MOST
+            small = about.get_storage_size() <= _MAX_TEXT_BYTES
             found[name] = text_of(holder.attrs[name]) if small else ""
         except Exception:  # a type that the library cannot turn into a value
             found[name] = ""

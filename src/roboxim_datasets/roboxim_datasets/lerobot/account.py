@@ -52,8 +52,8 @@ def take_stock(account: Account, meta: LeRobotMeta, *, own: bool, unusable: str)
         account.leaves_out("row", name, "no episode of meta/episodes has them")
         if rows.task is not None:
             taken |= set(np.unique(rows.task).tolist())
-        off, most = (0, 0.0) if own or TIMESTAMP not in columns else _off_the_clock(meta, name, rows)
-        why = f"not frame_index / {float(meta.fps):g} Hz, by up to {most:.3g} s; a new dataset has even times"
+        off, largest = (0, 0.0) if own or TIMESTAMP not in columns else _off_the_clock(meta, name, rows)
+        why = f"not frame_index / {float(meta.fps):g} Hz, by up to {largest:.3g} s; a new dataset has even times"
         for key, first in columns.items():
             account.holds("key", key, rows.count)
             if key == TIMESTAMP:

@@ -271,8 +271,8 @@ class _Version21:
 class _Files:
     """Parquet files that are closed when they reach a size."""
 
-    def __init__(self, root: Path, pattern: str, most_bytes: int) -> None:
-        self._root, self._pattern, self._most = root, pattern, most_bytes
+    def __init__(self, root: Path, pattern: str, max_bytes: int) -> None:
+        self._root, self._pattern, self._max_bytes = root, pattern, max_bytes
         self._writer: pq.ParquetWriter | None = None
         self._number, self._bytes = 0, 0
 
@@ -296,7 +296,7 @@ class _Files:
             self._writer = pq.ParquetWriter(path, table.schema, compression="snappy")
         self._writer.write_table(table, row_group_size=max(1, table.num_rows))
         self._bytes += table.nbytes
-        if self._bytes >= self._most:
+        if self._bytes >= self._max_bytes:
             self.close()
             self._number, self._bytes = self._number + 1, 0
         return chunk, file

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from roboxim_datasets.dataset import Dataset, Description
 from roboxim_datasets.lerobot.content import LeRobotOptions, content_of, layout_of
-from roboxim_datasets.lerobot.layout import DEPTH_MOST, DEPTH_UNIT_M, INFO_FILE
+from roboxim_datasets.lerobot.layout import DEPTH_UNIT_M, INFO_FILE, MAX_DEPTH
 from roboxim_datasets.lerobot.reader import LeRobotDataset
 from roboxim_datasets.lerobot.writer import LeRobotWriter
 from roboxim_datasets.registry import FORMATS
@@ -19,7 +19,7 @@ class LeRobotFormat:
     """LeRobot 3.0 and 2.1: lerobot (ACT, Diffusion, SmolVLA, pi0), openpi, GR00T."""
 
     options = LeRobotOptions
-    rounds_depth = f"in units of {DEPTH_UNIT_M:g} m; 0 where it is beyond {DEPTH_MOST * DEPTH_UNIT_M:.2f} m or unknown"
+    rounds_depth = f"in units of {DEPTH_UNIT_M:g} m; 0 where it is beyond {MAX_DEPTH * DEPTH_UNIT_M:.2f} m or unknown"
 
     def find(self, path: Path) -> list[Path]:
         """Return the datasets that a path is, or that the folder holds up to two levels below."""

@@ -46,8 +46,8 @@ EPISODES_PATH = f"meta/episodes/{_CHUNK_FILE}.parquet"
 DEPTH_UNITS_M = {"m": 1.0, "mm": 0.001}
 """Units of depth images that ``info.depth_unit`` states, from lerobot 0.6 on, in metres."""
 DEPTH_UNIT_M = 2.5e-4
-"""Unit of stored depth [m]; `DEPTH_MOST` units are 8.19 m. 0 is what is farther or unknown."""
-DEPTH_MOST = 32767
+"""Unit of stored depth [m]; `MAX_DEPTH` units are 8.19 m. 0 is what is farther or unknown."""
+MAX_DEPTH = 32767
 """Largest stored depth: torchvision reads 16-bit images as signed numbers."""
 
 

@@ -33,7 +33,7 @@ from roboxim_datasets.lerobot.layout import (
     LeRobotNames,
 )
 from roboxim_datasets.lerobot.tables import Place, damaged
-from roboxim_datasets.pictures import MOST_PIXELS, head_of
+from roboxim_datasets.pictures import MAX_PIXELS, head_of
 
 TIMESTAMP = "timestamp"
 _STATES = ("observation.state", "state")
@@ -41,7 +41,7 @@ _ACTIONS = ("action", "actions")
 _OBSERVED = "observation."
 _CAMERA_PREFIX = "observation.images."
 _VERSIONS = ("3.0", "2.1", "2.0")
-_MOST_NUMBERS = 1024  # of a column that is read as a vector
+_MAX_NUMBERS = 1024  # of a column that is read as a vector
 _SPLIT = re.compile(r"\s*(\d{1,15})\s*:\s*(\d{1,15})\s*")
 _FASTEST = 10_000.0  # steps per second that are believed
 
@@ -154,8 +154,8 @@ class LeRobotMeta:
             what = "16-bit depth or grey images" if len(shape) == 3 and 1 in (shape[0], shape[2]) else "images"
             return f"{what} of shape {shape}; only colour images of three channels are read"
         size = image_size(shape)
-        if not 0 < size.height * size.width <= MOST_PIXELS:
-            return f"images of {size.width} x {size.height} pixels; 1 to {MOST_PIXELS} are read"
+        if not 0 < size.height * size.width <= MAX_PIXELS:
+            return f"images of {size.width} x {size.height} pixels; 1 to {MAX_PIXELS} are read"
         return ""
 
     def _about(self, key: str) -> Mapping[str, Any]:
@@ -260,8 +260,8 @@ class LeRobotMeta:
         if not dtype.startswith(("float", "int", "uint", "bool")):
             return f"values of the type {printable(dtype, 60)}"
         size = math.prod(self.shape(key))
-        if not 0 < size <= _MOST_NUMBERS:
-            return f"shape {self.shape(key)}; 1 to {_MOST_NUMBERS} numbers are read as a vector"
+        if not 0 < size <= _MAX_NUMBERS:
+            return f"shape {self.shape(key)}; 1 to {_MAX_NUMBERS} numbers are read as a vector"
         if key in _ACTIONS or key in _STATES or key.startswith((_OBSERVED, SIGNAL_PREFIX)):
             return ""
         return f"{dtype} of shape {self.shape(key)}, not an observation"
@@ -306,7 +306,7 @@ class LeRobotMeta:
     def names(self, key: str) -> tuple[str, ...]:
         """Return the names of a column's components; numbered ones when the dataset has none."""
         names, size = self.features[key].get("names"), math.prod(self.shape(key))
-        if not 0 < size <= _MOST_NUMBERS:
+        if not 0 < size <= _MAX_NUMBERS:
             raise damaged(f"{self.path}: column '{key}' of shape {self.shape(key)}")
         if isinstance(names, dict) and len(names) == 1:  # as early versions nest them: {"motors": [...]}
             names = next(iter(names.values()))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 FREE_BYTES = 2**28
 """Unpacked size that is believed of any file [B]."""
-MOST_TIMES = 1100
+MAX_TIMES = 1100
 """Beyond it, largest ratio of the unpacked size to the file's."""
 _VALUE_BYTES = 8
 
@@ -41,9 +41,9 @@ def open_parquet(folder: Path, name: Path | str) -> pq.ParquetFile:
         unpacked = _unpacked_bytes(place)
     except (LookupError, ValueError, TypeError, AttributeError, struct.error, RecursionError) as error:
         raise RecorderError(f"{place}: its footer cannot be read: {error!r}", ErrorCode.BAG_DAMAGED) from None
-    if unpacked > max(FREE_BYTES, MOST_TIMES * stored):
+    if unpacked > max(FREE_BYTES, MAX_TIMES * stored):
         raise RecorderError(
-            f"{place} has {stored} bytes and unpacks to {unpacked}; at most {MOST_TIMES} times its size is read. Leave "
+            f"{place} has {stored} bytes and unpacks to {unpacked}; at most {MAX_TIMES} times its size is read. Leave "
             "the file out, or take the dataset from its source again",
             ErrorCode.BAG_DAMAGED,
         )

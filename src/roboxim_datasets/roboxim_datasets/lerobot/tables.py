@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 Ints = npt.NDArray[np.int64]
-_TEXT_MOST = 2**28
+_MAX_TEXT_BYTES = 2**28
 _WORD = re.compile(r"\{(\w+)(?::0?(\d{1,2})d)?\}")
 INDICES = ("episode_index", "frame_index", "task_index", SUBTASK_INDEX)
 
@@ -138,7 +138,7 @@ def json_object(folder: Path, name: str) -> dict[str, Any]:
         RecorderError: With code ``BAG_DAMAGED``, naming it.
     """
     try:
-        return read_json_object(file_in(folder, name), _TEXT_MOST)
+        return read_json_object(file_in(folder, name), _MAX_TEXT_BYTES)
     except ConfigError as error:
         raise damaged(f"the dataset's description cannot be read: {error}") from None
 
@@ -150,7 +150,7 @@ def json_lines(folder: Path, name: str) -> list[dict[str, Any]]:
         RecorderError: With code ``BAG_DAMAGED``, naming it.
     """
     try:
-        text = read_text(file_in(folder, name), _TEXT_MOST)
+        text = read_text(file_in(folder, name), _MAX_TEXT_BYTES)
     except ConfigError as error:
         raise damaged(str(error)) from None
     found = []

@@ -21,9 +21,9 @@ from roboxim_datasets.episode import Episode, Step
 from roboxim_datasets.lerobot.assemble import assemble
 from roboxim_datasets.lerobot.content import LeRobotContent
 from roboxim_datasets.lerobot.layout import (
-    DEPTH_MOST,
     DEPTH_UNIT_M,
     INFO_FILE,
+    MAX_DEPTH,
     MODALITY_FILE,
     ROBOXIM_FILE,
     LeRobotLayout,
@@ -184,7 +184,7 @@ class _Collected:
             self._image(key, step.images[camera])
         for key, camera in content.depth.items():
             scaled = np.nan_to_num(step.depth[camera] / DEPTH_UNIT_M, nan=0.0, posinf=0.0)
-            self._map(key, np.where(scaled > DEPTH_MOST, 0, np.rint(scaled)).astype(np.uint16))
+            self._map(key, np.where(scaled > MAX_DEPTH, 0, np.rint(scaled)).astype(np.uint16))
         for key, camera in content.segmentation.items():
             self._map(key, step.segmentation[camera])
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, one_of
 from roboxim_core.vision.images import ENCODINGS
 from roboxim_datasets.episode import ImageSize, MetaValue
-from roboxim_datasets.pictures import MOST_COMPONENTS, MOST_PIXELS, colour_picture
+from roboxim_datasets.pictures import MAX_COMPONENTS, MAX_PIXELS, colour_picture
 from roboxim_datasets.rlds.tfrecord import Feature, decode_example, encode_example
 
 Array = npt.NDArray[np.float32]
@@ -328,7 +328,7 @@ def _is_colour(leaf: dict[str, Any]) -> bool:
     if "image" not in leaf or leaf["image"].get("encodingFormat", "png") not in (*ENCODINGS, ""):
         return False
     shape = _shape(leaf, "image") or [-1, -1, 3]
-    small = len(shape) == 3 and shape[0] * shape[1] <= MOST_PIXELS
+    small = len(shape) == 3 and shape[0] * shape[1] <= MAX_PIXELS
     return leaf["image"].get("dtype", "uint8") == "uint8" and shape[2:] == [3] and small
 
 
@@ -340,7 +340,7 @@ def _vector_size(leaf: dict[str, Any]) -> int:
         return 0
     shape = _shape(leaf, "tensor")
     size = 1 if not shape else shape[0] if len(shape) == 1 else 0
-    return size if 0 < size <= MOST_COMPONENTS else 0
+    return size if 0 < size <= MAX_COMPONENTS else 0
 
 
 def _is_text(leaf: dict[str, Any]) -> bool:

@@ -27,7 +27,7 @@ from roboxim_datasets.video.codecs import CODECS
 from roboxim_datasets.video.messages import Header, read_message, write_message
 
 _MP4 = {"fflags": "+bitexact"}  # without the version of the library
-_MOST_PIXELS = 2**26
+_MAX_PIXELS = 2**26
 _PADDING = 128  # codecs round sizes up to whole blocks
 _STREAMS = 8
 _DEEP = ("gray9", "gray1")  # FFmpeg's names of grey frames of more than 8 bits
@@ -87,19 +87,19 @@ def give_up_priority() -> None:
             os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
 
 
-def opened(path: str, most_pixels: int = _MOST_PIXELS) -> Any:
+def opened(path: str, max_pixels: int = _MAX_PIXELS) -> Any:
     """Open an MP4 file; no other format, since some of FFmpeg's (playlists, concat) open further files.
 
     Args:
         path: The file.
-        most_pixels: Largest number of pixels of a frame, for which FFmpeg takes memory.
+        max_pixels: Largest number of pixels of a frame, for which FFmpeg takes memory.
 
     Raises:
         ValueError: When it has more frames than bytes.
     """
     with open(path, "rb") as file:
         _require_frames(file, 0, os.fstat(file.fileno()).st_size)
-    bound: Any = [{"max_pixels": str(most_pixels)}] * _STREAMS
+    bound: Any = [{"max_pixels": str(max_pixels)}] * _STREAMS
     return av.open(path, format="mp4", stream_options=bound)
 
 
@@ -139,18 +139,18 @@ class Decoding:
         width: int = 0,
         deep: bool = False,
     ) -> None:
-        most = (height + _PADDING) * (width + _PADDING) if height and width else _MOST_PIXELS
-        self._container = opened(path, most)
+        limit = (height + _PADDING) * (width + _PADDING) if height and width else _MAX_PIXELS
+        self._container = opened(path, limit)
         if not self._container.streams.video:
             raise ValueError("no video in the file")
         self._video: Any = self._container.streams.video[0]
         codec = self._video.codec_context
-        codec.options = {"max_pixels": str(most)}
+        codec.options = {"max_pixels": str(limit)}
         if height and (codec.height, codec.width) != (height, width):
-            found = f"{codec.width} x {codec.height} pixels" if codec.width else f"more than {most} pixels"
+            found = f"{codec.width} x {codec.height} pixels" if codec.width else f"more than {limit} pixels"
             raise ValueError(f"frames of {found}, expected {width} x {height}")
-        if codec.width * codec.height > _MOST_PIXELS:
-            raise ValueError(f"frames of {codec.width} x {codec.height} pixels; at most {_MOST_PIXELS} are read")
+        if codec.width * codec.height > _MAX_PIXELS:
+            raise ValueError(f"frames of {codec.width} x {codec.height} pixels; at most {_MAX_PIXELS} are read")
         if str(codec.pix_fmt).startswith(_DEEP) and not deep:
             raise ValueError(
                 f"depth frames ({codec.pix_fmt}), expected colour; the dataset does not say that it is depth"

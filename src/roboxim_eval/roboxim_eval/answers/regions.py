@@ -30,7 +30,7 @@ ALPHA = 0.05
 """Probability of a false region in a whole search."""
 PEEL = 0.12
 """Share of a box's points that one step peels off."""
-LEAST_POINTS = 5
+MIN_POINTS = 5
 """Fewest points of a box."""
 MARGIN = 0.15
 """Part of a box's side by which points around it lie outside."""
@@ -176,7 +176,7 @@ def failing_box(points: Array, failed: Mask) -> Box | None:
         points: Points in the unit cube, shape (n, d).
         failed: Whether the policy fails there, shape (n,).
     """
-    if len(points) < 2 * LEAST_POINTS or not failed.any() or failed.all():
+    if len(points) < 2 * MIN_POINTS or not failed.any() or failed.all():
         return None
     low, high = np.zeros(points.shape[1]), np.ones(points.shape[1])
     best, best_score = None, 0.0
@@ -199,7 +199,7 @@ def failing_box(points: Array, failed: Mask) -> Box | None:
 def _peeled(points: Array, failed: Mask, low: Array, high: Array) -> Box | None:
     """Return the box after the step that leaves the largest share of failures; None: it would be too small."""
     count = max(1, round(PEEL * len(points)))
-    if len(points) - count < LEAST_POINTS:
+    if len(points) - count < MIN_POINTS:
         return None
     best, best_rate = None, -1.0
     for dimension in range(points.shape[1]):
@@ -264,8 +264,8 @@ def _next_points(seen: _Seen, config: SearchConfig, dimensions: int, number: int
         return anywhere
     low, high = box
     side = high - low
-    least, most = np.maximum(low - MARGIN * side, 0.0), np.minimum(high + MARGIN * side, 1.0)
-    around = rng.uniform(least, most, (config.per_round, dimensions))
+    lower, upper = np.maximum(low - MARGIN * side, 0.0), np.minimum(high + MARGIN * side, 1.0)
+    around = rng.uniform(lower, upper, (config.per_round, dimensions))
     half = config.per_round // 2
     return np.concatenate([around[half:], anywhere[:half]])
 

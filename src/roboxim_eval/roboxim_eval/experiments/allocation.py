@@ -15,11 +15,11 @@ from roboxim_eval.experiments.config import ExperimentConfig
 from roboxim_eval.experiments.cost import Rates, cost_of
 from roboxim_eval.experiments.design import design_of
 from roboxim_eval.statistics.components import Components, student_limit
-from roboxim_eval.statistics.replicates import LEAST_REPLICATES
+from roboxim_eval.statistics.replicates import MIN_REPLICATES
 
-MOST_TRAININGS = 40
+MAX_TRAININGS = 40
 """Largest number of trainings of a condition that is considered."""
-MOST_ROLLOUTS = 200
+MAX_ROLLOUTS = 200
 """Largest number of rollouts of a training in a cell that is considered."""
 
 
@@ -98,8 +98,8 @@ def allocated(
 def _fitting(
     config: ExperimentConfig, rates: Rates, components: Components, budget_s: float, trainer: str, at_once: int
 ) -> Iterable[Allocation]:
-    for trainings in range(LEAST_REPLICATES, MOST_TRAININGS + 1):
-        low, high, best = 1, MOST_ROLLOUTS, None
+    for trainings in range(MIN_REPLICATES, MAX_TRAININGS + 1):
+        low, high, best = 1, MAX_ROLLOUTS, None
         while low <= high:
             middle = (low + high) // 2
             one = allocation_of(_sized(config, trainings, middle), rates, components, trainer, at_once)

@@ -16,12 +16,12 @@ from roboxim_eval.experiments.design import Design
 from roboxim_eval.statistics.multiple import holm
 from roboxim_eval.statistics.paired import Pairs, independent_difference, paired_difference
 from roboxim_eval.statistics.rates import success_rate
-from roboxim_eval.statistics.replicates import LEAST_REPLICATES, ConditionDifference, condition_difference
+from roboxim_eval.statistics.replicates import MIN_REPLICATES, ConditionDifference, condition_difference
 from roboxim_eval.statistics.scores import Scores, scores
 from roboxim_eval.statistics.tables import Arm, Count, RateInterval
 from roboxim_eval.statistics.verdicts import Verdict, checkpoint_verdict, condition_verdict
 
-MOST_ERRORS = 0.01
+MAX_ERRORS = 0.01
 """Share of episodes that ended in errors above which a policy is not measured."""
 
 
@@ -127,7 +127,7 @@ def _differences(
 
 def _p_value(difference: ConditionDifference) -> float:
     """Return the p value of a comparison by itself: over trainings, or over scenes if there is one training each."""
-    if difference.replicates >= LEAST_REPLICATES:
+    if difference.replicates >= MIN_REPLICATES:
         return difference.p_value
     if difference.replicates > 1:
         return 1.0
@@ -138,7 +138,7 @@ def _p_value(difference: ConditionDifference) -> float:
 
 def _p_as_good(difference: ConditionDifference, margin: float) -> float:
     """Return the p value of a difference within the margin by itself; 1 where none can be shown."""
-    if difference.replicates >= LEAST_REPLICATES:
+    if difference.replicates >= MIN_REPLICATES:
         return difference.p_as_good(margin)
     if difference.replicates == 1 and difference.pairs is not None and difference.pairs.scenes:
         return paired_difference(difference.pairs).p_as_good(margin)
@@ -195,9 +195,9 @@ def _scores(design: Design, arms: Mapping[str, Arm], outcomes: Outcomes) -> Scor
 def _errors(arms: Mapping[str, Arm]) -> Iterable[str]:
     for name, arm in arms.items():
         count = arm.pooled
-        if count.errors > MOST_ERRORS * count.episodes:
+        if count.errors > MAX_ERRORS * count.episodes:
             rate = success_rate(count.errors, count.episodes)
             yield (
-                f"{name}: {rate} of the episodes ended in errors, more than {100 * MOST_ERRORS:.0f} %; its results are "
+                f"{name}: {rate} of the episodes ended in errors, more than {100 * MAX_ERRORS:.0f} %; its results are "
                 "not to be relied on."
             )

@@ -11,7 +11,7 @@ from typing import Any
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments.config import TASK, ExperimentConfig, Match
 
-MOST_CELLS = 1000
+MAX_CELLS = 1000
 """Largest number of cells."""
 
 
@@ -70,8 +70,8 @@ def cells_of(config: ExperimentConfig) -> tuple[Cell, ...]:
     number = 1
     for levels in config.factors.values():
         number *= len(levels)
-    if number > MOST_CELLS:
-        raise ConfigError(f"factors have {number} combinations, at most {MOST_CELLS} are allowed")
+    if number > MAX_CELLS:
+        raise ConfigError(f"factors have {number} combinations, at most {MAX_CELLS} are allowed")
     combinations = [
         dict(zip(config.factors, map(str, levels), strict=True))
         for levels in itertools.product(*(tuple(levels) for levels in config.factors.values()))

@@ -17,7 +17,7 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
 from roboxim_eval.experiments.config import CompareConfig, ConditionConfig, EvaluateConfig, ExperimentConfig
-from roboxim_eval.statistics.replicates import LEAST_REPLICATES
+from roboxim_eval.statistics.replicates import MIN_REPLICATES
 from roboxim_eval.statistics.tables import Count
 
 ARMS = ("made_to_order", "uniform")
@@ -95,7 +95,7 @@ def next_round(card: Card, demonstrations: int, condition: str = "") -> Round:
                 max_steps=config.evaluate.max_steps, cells=dict.fromkeys(ARMS, where),
             ),
             replicates=replace(
-                replicates, count=max(LEAST_REPLICATES, replicates.count),
+                replicates, count=max(MIN_REPLICATES, replicates.count),
                 first_seed=replicates.first_seed + replicates.count,
             ),
             compare=(CompareConfig(first=ARMS[0], second=ARMS[1], where=where, primary=True),),

@@ -125,13 +125,13 @@ def _nested(seen: tuple[Levels, ...], needed: Levels, numbers: tuple[int, ...]) 
     low: list[float] = []
     high: list[float] = []
 
-    def require(members: Mapping[int, float], least: float, most: float) -> None:
+    def require(members: Mapping[int, float], minimum: float, maximum: float) -> None:
         row = np.zeros(size + levels * sets)
         for place, value in members.items():
             row[place] = value
         rows.append(row)
-        low.append(least)
-        high.append(most)
+        low.append(minimum)
+        high.append(maximum)
 
     factors = {factor: sum(name == factor for name, _ in needed) for factor, _ in needed}
     for k, number in enumerate(numbers):

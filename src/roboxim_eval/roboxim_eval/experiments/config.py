@@ -23,7 +23,7 @@ WHERE = ("all", "seen", "unseen")
 VARIES = ("training", "data")
 FULL = "full"
 """Name of the scale without replaced keys."""
-LEAST_SEED, MOST_SEED = 10_000, 2_000_000_000
+MIN_SEED, MAX_SEED = 10_000, 2_000_000_000
 """Range of seeds of fresh scenes; the public ones are below."""
 Match = Mapping[str, str]
 """Factor to level; a cell matches if it has all of them."""
@@ -84,9 +84,9 @@ class NoiseConfig:
         Raises:
             ConfigError: When one is out of range.
         """
-        for name, most in (("translation_mm", 50.0), ("rotation_mrad", 200.0)):
-            if not 0.0 <= getattr(self, name) <= most:
-                raise ConfigError(f"{name} must be from 0 to {most:g}, got {getattr(self, name):g}")
+        for name, maximum in (("translation_mm", 50.0), ("rotation_mrad", 200.0)):
+            if not 0.0 <= getattr(self, name) <= maximum:
+                raise ConfigError(f"{name} must be from 0 to {maximum:g}, got {getattr(self, name):g}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,8 +158,8 @@ class EvaluateConfig:
         Raises:
             ConfigError: When a value is unknown or out of range.
         """
-        if self.seed and not LEAST_SEED <= self.seed <= MOST_SEED:
-            raise ConfigError(f"seed must be 0 (public) or from {LEAST_SEED} to {MOST_SEED}, got {self.seed}")
+        if self.seed and not MIN_SEED <= self.seed <= MAX_SEED:
+            raise ConfigError(f"seed must be 0 (public) or from {MIN_SEED} to {MAX_SEED}, got {self.seed}")
         for name, cells in self.cells.items():
             _require_where(f"cells.{name}", cells)
         if self.per_cell < 1 or self.per_unseen_cell < 0 or self.max_steps < 0:

@@ -11,15 +11,15 @@ from roboxim_eval.experiments.config import ExperimentConfig
 from roboxim_eval.experiments.design import Design, design_of
 from roboxim_eval.statistics.power import Design as Size
 from roboxim_eval.statistics.power import detectable
-from roboxim_eval.statistics.replicates import LEAST_REPLICATES
+from roboxim_eval.statistics.replicates import MIN_REPLICATES
 
 FILMS = 8
 """Films of each condition in an experiment's report."""
-LEAST_START_S = 0.5
+MIN_START_S = 0.5
 """Smallest time of a start, used where a measurement is too short to show one [s]."""
 ASSUMED_SUCCEEDED = 0.8
 """Assumed share of successful rollouts until a run has measured one; power is computed at the same rate."""
-LEAST_LEARNING_STEPS = 1000
+MIN_LEARNING_STEPS = 1000
 """Smallest number of training steps for which any success is expected."""
 
 
@@ -239,7 +239,7 @@ def expected_success(design: Design, rates: Rates) -> float:
     It is that of the experiment's last run, else an assumption; 0 for trainings that are too short to learn anything.
     """
     steps = [training.steps for training in design.trainings] if design.trainer.command else []
-    if steps and max(steps) < LEAST_LEARNING_STEPS:
+    if steps and max(steps) < MIN_LEARNING_STEPS:
         return 0.0
     return ASSUMED_SUCCEEDED if rates.succeeded is None else rates.succeeded
 
@@ -352,6 +352,6 @@ def fitted(
         sized = replace(config, replicates=replace(config.replicates, count=replicates), evaluate=evaluate)
         cost = cost_of(design_of(sized, trainer), rates, trainings)
         if cost.total_s <= budget_s:
-            about_training = replicates >= LEAST_REPLICATES
+            about_training = replicates >= MIN_REPLICATES
             found.append((about_training, -(cost.detectable or 1.0), replicates, factor, sized))
     return max(found, key=lambda item: item[:4])[4] if found else None

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments.card import Card, CardEvaluation, CardFresh
-from roboxim_eval.experiments.config import LEAST_SEED, MOST_SEED
+from roboxim_eval.experiments.config import MAX_SEED, MIN_SEED
 from roboxim_eval.statistics.multiple import holm
 from roboxim_eval.statistics.paired import Difference, independent_difference
 from roboxim_eval.statistics.rates import SuccessRate
@@ -40,9 +40,9 @@ class SceneSeed:
         Raises:
             ConfigError: When one is out of range.
         """
-        if not LEAST_SEED <= self.seed <= MOST_SEED or len(self.nonce) < 32:
+        if not MIN_SEED <= self.seed <= MAX_SEED or len(self.nonce) < 32:
             raise ConfigError(
-                f"a seed of fresh scenes is from {LEAST_SEED} to {MOST_SEED}, with a nonce of at least 32 characters; "
+                f"a seed of fresh scenes is from {MIN_SEED} to {MAX_SEED}, with a nonce of at least 32 characters; "
                 f"got {self.seed} and {len(self.nonce)} characters"
             )
 
@@ -54,7 +54,7 @@ class SceneSeed:
     @staticmethod
     def drawn() -> SceneSeed:
         """Draw a seed from the system's entropy: the only seed of an experiment that is not an argument."""
-        return SceneSeed(seed=LEAST_SEED + secrets.randbelow(MOST_SEED - LEAST_SEED), nonce=secrets.token_hex(16))
+        return SceneSeed(seed=MIN_SEED + secrets.randbelow(MAX_SEED - MIN_SEED), nonce=secrets.token_hex(16))
 
 
 def require_committed(card: Card, source: str) -> None:

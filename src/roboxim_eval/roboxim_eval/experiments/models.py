@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roboxim_core.errors import ConfigError, one_of
-from roboxim_eval.experiments.analysis import MOST_ERRORS
+from roboxim_eval.experiments.analysis import MAX_ERRORS
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
 from roboxim_eval.experiments.cells import chosen
@@ -31,7 +31,7 @@ from roboxim_eval.statistics.multiple import bradley_terry, compact_letters, hol
 from roboxim_eval.statistics.paired import Pairs, independent_difference, paired_difference
 from roboxim_eval.statistics.rates import SuccessRate, success_rate
 from roboxim_eval.statistics.replicates import (
-    LEAST_REPLICATES,
+    MIN_REPLICATES,
     ConditionDifference,
     Interval,
     condition_difference,
@@ -62,8 +62,8 @@ class Model:
 
     @property
     def has_many_errors(self) -> bool:
-        """Whether more rollouts ended in errors than an experiment's results allow, see `MOST_ERRORS`."""
-        return self.errors > MOST_ERRORS * self.episodes
+        """Whether more rollouts ended in errors than an experiment's results allow, see `MAX_ERRORS`."""
+        return self.errors > MAX_ERRORS * self.episodes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +119,7 @@ class Models:
         """A sentence for each model with many errors."""
         return tuple(
             f"{name}: {success_rate(model.errors, model.episodes)} of the rollouts ended in errors, more than "
-            f"{100 * MOST_ERRORS:.0f} %; its results are not to be relied on."
+            f"{100 * MAX_ERRORS:.0f} %; its results are not to be relied on."
             for name, model in self.models.items()
             if model.has_many_errors
         )
@@ -243,11 +243,11 @@ def _pair(
     numbers = len(first.replicates), len(second.replicates)
     replicates, equal = min(numbers), numbers[0] == numbers[1]
     pairs = _shared(scenes.get(one, ()), scenes.get(two, ()), cells) if equal else []
-    if replicates >= LEAST_REPLICATES and not equal:
+    if replicates >= MIN_REPLICATES and not equal:
         interval, p = _welch(first, second)
         test = f"over {numbers[0]} and {numbers[1]} trainings"
         return PairOfModels(first=one, second=two, difference=interval, p=p, test=test)
-    if replicates >= LEAST_REPLICATES:
+    if replicates >= MIN_REPLICATES:
         difference = condition_difference(first, second, pairs[:replicates] if len(pairs) >= replicates else ())
         return PairOfModels(
             first=one, second=two, difference=difference.interval(), p=difference.p_value,

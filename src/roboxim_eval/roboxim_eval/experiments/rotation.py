@@ -21,7 +21,7 @@ from roboxim_eval.experiments.cells import Cell, cells_of, chosen
 from roboxim_eval.experiments.config import ExperimentConfig
 from roboxim_eval.statistics.rotated import Part, RotatedScore, rotated_score
 
-LEAST_SETS = 3
+MIN_SETS = 3
 """Smallest number of sets of a rotated design; fewer sets allow no statement about cells."""
 
 
@@ -37,12 +37,12 @@ def held_out_sets(cells: Sequence[Cell], sets: int, held_out: int) -> tuple[tupl
         held_out: Number of cells of a set.
 
     Raises:
-        ConfigError: When there are fewer than `LEAST_SETS` sets, or no such sets exist.
+        ConfigError: When there are fewer than `MIN_SETS` sets, or no such sets exist.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
 
-    if sets < LEAST_SETS:
-        raise ConfigError(f"a rotated design needs at least {LEAST_SETS} sets, got {sets}")
+    if sets < MIN_SETS:
+        raise ConfigError(f"a rotated design needs at least {MIN_SETS} sets, got {sets}")
     if held_out < 1 or sets * held_out > len(cells):
         raise ConfigError(
             f"{sets} disjoint sets of {held_out} cells need {sets * held_out} cells, the experiment has {len(cells)}; "
@@ -51,13 +51,13 @@ def held_out_sets(cells: Sequence[Cell], sets: int, held_out: int) -> tuple[tupl
     number = len(cells)
     rows, low, high = [], [], []
 
-    def require(members: Sequence[tuple[int, int]], least: float, most: float) -> None:
+    def require(members: Sequence[tuple[int, int]], minimum: float, maximum: float) -> None:
         row = np.zeros((number, sets))
         for member in members:
             row[member] = 1
         rows.append(row.ravel())
-        low.append(least)
-        high.append(most)
+        low.append(minimum)
+        high.append(maximum)
 
     for cell in range(number):
         require([(cell, one) for one in range(sets)], 0, 1)
@@ -133,8 +133,8 @@ def joined(cards: Sequence[Card]) -> RotatedScore:
     Raises:
         ConfigError: When the cards are not parts of one design: other experiments, or held-out cells in common.
     """
-    if len(cards) < LEAST_SETS:
-        raise ConfigError(f"a rotated design has at least {LEAST_SETS} parts, got {len(cards)} cards")
+    if len(cards) < MIN_SETS:
+        raise ConfigError(f"a rotated design has at least {MIN_SETS} parts, got {len(cards)} cards")
     seen: set[str] = set()
     parts = []
     for card in cards:
@@ -156,4 +156,4 @@ def _without_set(config: ExperimentConfig) -> ExperimentConfig:
     return replace(config, unseen=(), deviations=(), replicates=replace(config.replicates, first_seed=0))
 
 
-__all__ = ["LEAST_SETS", "held_out_sets", "joined", "rotated"]
+__all__ = ["MIN_SETS", "held_out_sets", "joined", "rotated"]

@@ -33,9 +33,9 @@ class Spread:
     @property
     def random(self) -> Interval:
         """95 % interval of the mean over all cells that these are a sample of; it contains `fixed`."""
-        found, least = self.components.random_interval(), -1.0 if self.difference else 0.0
+        found, minimum = self.components.random_interval(), -1.0 if self.difference else 0.0
         return Interval(
-            value=found.value, low=max(least, min(found.low, self.fixed.low)),
+            value=found.value, low=max(minimum, min(found.low, self.fixed.low)),
             high=min(1.0, max(found.high, self.fixed.high)),
         )  # fmt: skip
 

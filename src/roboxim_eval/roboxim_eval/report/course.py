@@ -36,7 +36,7 @@ NOTHING = 0.02
 """Share of a bound below which a value is shown as 0."""
 TINY = 1e-6
 """Bounds below this mean "more than 0"."""
-MOST_EVENTS = 2
+MAX_EVENTS = 2
 """Number of conditions that a sentence names."""
 
 
@@ -149,7 +149,7 @@ def what_happened(
         kept = f"all conditions held, but for {held_s:.1f} s of {hold_s:g} s" if held_s < hold_s else ""
         return _sentence(kept)
     cause = [one for one in broken if one.reason == reason or f"not_{one.name}" == reason]
-    selected = [*cause, *(one for one in broken if one not in cause and _adds_information(one))][:MOST_EVENTS]
+    selected = [*cause, *(one for one in broken if one not in cause and _adds_information(one))][:MAX_EVENTS]
     events = sorted((_event(one, one in cause) for one in selected), key=lambda event: event[0])
     joint = ", then " if any(" at tick " in text for _, text in events) else ", "
     return _sentence(joint.join(text for _, text in events))

@@ -37,7 +37,7 @@ from roboxim_core.poses import Array
 from roboxim_eval.statistics.replicates import Interval, pooled_rate
 from roboxim_eval.statistics.tables import Arm
 
-LEAST_POLICIES = 3
+MIN_POLICIES = 3
 """Number of policies below which a correlation has no meaning: two points always lie on a line."""
 WHOLE = ""
 """Cell of a table without cells."""
@@ -124,15 +124,15 @@ def correlation(policies: Sequence[PolicyCounts], *, seed: int = 0) -> Correlati
     """Return the agreement of two benchmarks.
 
     Args:
-        policies: Outcomes of at least `LEAST_POLICIES` policies.
+        policies: Outcomes of at least `MIN_POLICIES` policies.
         seed: Seed of the draws from the posterior.
 
     Raises:
         InvalidRequestError: When there are fewer policies.
     """
-    if len(policies) < LEAST_POLICIES:
+    if len(policies) < MIN_POLICIES:
         raise InvalidRequestError(
-            f"a correlation needs at least {LEAST_POLICIES} policies that both tables have, got {len(policies)} "
+            f"a correlation needs at least {MIN_POLICIES} policies that both tables have, got {len(policies)} "
             f"({', '.join(p.name for p in policies) or 'none'}): two points always lie on a line"
         )
     rates = np.array([policy.rates for policy in policies])
@@ -142,11 +142,12 @@ def correlation(policies: Sequence[PolicyCounts], *, seed: int = 0) -> Correlati
     value = float(pearson(rates[:, 0], rates[:, 1]))
     low, high = np.quantile(drawn[np.isfinite(drawn)], [0.025, 0.975])
     violation = float(mean_maximum_rank_violation(rates[:, 0], rates[:, 1]))
-    least, most = np.quantile(mean_maximum_rank_violation(real, predicted), [0.025, 0.975])
-    least = min(least, max(0.0, 2 * violation - most))  # a perfect order has no violation, draws nearly always have one
+    violation_low, violation_high = np.quantile(mean_maximum_rank_violation(real, predicted), [0.025, 0.975])
+    # draws nearly always have a violation, a perfect order has none
+    violation_low = min(violation_low, max(0.0, 2 * violation - violation_high))
     return Correlation(
         policies=tuple(policies), pearson=Interval(value=value, low=float(low), high=float(high)),
-        mmrv=Interval(value=violation, low=float(least), high=float(most)),
+        mmrv=Interval(value=violation, low=float(violation_low), high=float(violation_high)),
         at_least=posterior.correlation_quantile(0.05),
     )  # fmt: skip
 
@@ -263,10 +264,10 @@ class Needed:
         """The answer in words."""
         assumed = f"If {self.assumed:.2f} is the true correlation of log-odds"
         if self.policies is None:
-            most = max(self.power)
+            largest = max(self.power)
             return (
-                f"{assumed}, {most} policies show that it is above {self.limit:g} in {100 * self.power[most]:.0f} % of "
-                "simulated tables: no number of policies up to that decides it."
+                f"{assumed}, {largest} policies show that it is above {self.limit:g} in "
+                f"{100 * self.power[largest]:.0f} % of simulated tables: no number of policies up to that decides it."
             )
         return (
             f"{assumed}, {self.policies} policies with as many rollouts show that it is above {self.limit:g} in "
@@ -346,7 +347,7 @@ def sentences(found: Correlation, names: tuple[str, str]) -> tuple[str, ...]:
 
 
 __all__ = [
-    "LEAST_POLICIES",
+    "MIN_POLICIES",
     "WHOLE",
     "Correlation",
     "Needed",

@@ -27,7 +27,7 @@ from roboxim_eval.statistics.training_spread import mean_rate_interval
 
 MANY = 10**9
 """Degrees of freedom at which Student's t is the normal distribution."""
-LEAST_REPLICATES = 3
+MIN_REPLICATES = 3
 """Number of trainings below which no statement about a training condition is made."""
 
 
@@ -227,8 +227,8 @@ def condition_ratio(first: Arm, second: Arm) -> Interval:
     if replicates < 2:
         return Interval(value=ratio, low=0.0, high=math.inf)
     if not u.mean():  # no logarithm exists: use the rates that are compatible with the outcomes
-        least = condition_rate(second).low
-        return Interval(value=0.0, low=0.0, high=condition_rate(first).high / least if least else math.inf)
+        lowest = condition_rate(second).low
+        return Interval(value=0.0, low=0.0, high=condition_rate(first).high / lowest if lowest else math.inf)
     deviation = u / u.mean() - s / s.mean()
     among = _t_limit(0.975, replicates - 1) * float(np.std(deviation, ddof=1)) / math.sqrt(replicates)
     one, two = pooled_rate(first), pooled_rate(second)
@@ -275,8 +275,8 @@ def more_trainings(
     first, second = difference.rollouts
     episodes = (first.episodes + second.episodes) / 2 / difference.replicates
     spread = max(difference.spread, 1 / max(1.0, episodes))  # a spread of 0 occurs by chance
-    least = math.ceil(((_t_limit(1 - alpha / 2, MANY) + _t_limit(0.8, MANY)) * spread / margin) ** 2)
-    for replicates in range(max(2, difference.replicates, least), max_trainings + 1):
+    minimum = math.ceil(((_t_limit(1 - alpha / 2, MANY) + _t_limit(0.8, MANY)) * spread / margin) ** 2)
+    for replicates in range(max(2, difference.replicates, minimum), max_trainings + 1):
         needed = _t_limit(1 - alpha / 2, replicates - 1) + _t_limit(0.8, replicates - 1)
         if needed * spread / math.sqrt(replicates) <= margin:
             return replicates - difference.replicates
@@ -284,7 +284,7 @@ def more_trainings(
 
 
 __all__ = [
-    "LEAST_REPLICATES",
+    "MIN_REPLICATES",
     "ConditionDifference",
     "Interval",
     "condition_difference",

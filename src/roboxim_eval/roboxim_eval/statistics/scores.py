@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from roboxim_eval.statistics.paired import Pairs
 from roboxim_eval.statistics.rates import SuccessRate, success_rate
 from roboxim_eval.statistics.replicates import (
-    LEAST_REPLICATES,
+    MIN_REPLICATES,
     ConditionDifference,
     Interval,
     condition_difference,
@@ -97,10 +97,8 @@ def relative_score(unseen: Arm, baseline: Arm, blind: Arm | None = None, *, refu
     Raises:
         InvalidRequestError: If the replicates differ in number.
     """
-    if len(unseen.replicates) < LEAST_REPLICATES:
-        return Relative(
-            ratio=None, refused=f"fewer than {LEAST_REPLICATES} trainings of each condition have no interval"
-        )
+    if len(unseen.replicates) < MIN_REPLICATES:
+        return Relative(ratio=None, refused=f"fewer than {MIN_REPLICATES} trainings of each condition have no interval")
     s = condition_rate(baseline)
     if s.low < refuse_below or not s.value:
         return Relative(
@@ -194,7 +192,7 @@ def _wordless(succeeds: bool, words: ConditionDifference | None, gap: ConditionD
     """Yield evidence against an influence of the words: no blind policy, or one that is as good."""
     if words is None:
         yield "No policy without words was evaluated, so the scene alone may explain the success."
-    elif succeeds and words.replicates >= LEAST_REPLICATES and not words.interval().low > 0:
+    elif succeeds and words.replicates >= MIN_REPLICATES and not words.interval().low > 0:
         alike = f"without the instruction the same checkpoints are not shown to be worse ({_points(words.interval())})"
         if gap.interval().low > 0:
             yield f"The leave-out condition is not shown to use its words in held-out cells: {alike}."
@@ -204,7 +202,7 @@ def _wordless(succeeds: bool, words: ConditionDifference | None, gap: ConditionD
 
 def _unequal(competence: ConditionDifference | None) -> Iterable[str]:
     """Yield a sentence if the conditions differ in cells that both have seen."""
-    if competence is not None and competence.replicates >= LEAST_REPLICATES and competence.p_value <= 0.05:
+    if competence is not None and competence.replicates >= MIN_REPLICATES and competence.p_value <= 0.05:
         better = "the leave-out condition" if competence.value > 0 else "the baseline"
         yield (
             f"Competence differs: in cells that both have seen {better} is better ({_points(competence.interval())}), "

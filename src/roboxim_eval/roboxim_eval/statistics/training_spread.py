@@ -29,7 +29,7 @@ MEANS = 200
 """Number of intervals of the grid of mean rates; each has the same prior probability."""
 SPREADS = 20
 """Number of standard deviations, each of the same prior probability."""
-MOST_CORRELATION = 0.97
+MAX_CORRELATION = 0.97
 """Largest correlation of two episodes of a training: at 1, a training always or never succeeds."""
 
 
@@ -45,7 +45,7 @@ def _grid() -> tuple[Array, Array, Array, Array]:
     edges = (1 - np.cos(np.pi * np.arange(MEANS + 1) / MEANS)) / 2  # equal parts of Jeffreys's prior
     means = ((1 - np.cos(np.pi * (np.arange(MEANS) + 0.5) / MEANS)) / 2)[:, None]
     spreads = halfnorm.ppf((np.arange(SPREADS) + 0.5) / SPREADS) * SCALE
-    correlation = np.minimum(spreads**2 / (means * (1 - means)), MOST_CORRELATION)
+    correlation = np.minimum(spreads**2 / (means * (1 - means)), MAX_CORRELATION)
     size = 1 / correlation - 1
     alpha, beta = means * size, (1 - means) * size
     return edges, alpha, beta, betaln(alpha, beta)

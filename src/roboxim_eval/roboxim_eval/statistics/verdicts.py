@@ -16,7 +16,7 @@ from typing import Literal
 
 from roboxim_eval.statistics.equivalence import NORMAL
 from roboxim_eval.statistics.paired import Pairs, paired_difference
-from roboxim_eval.statistics.replicates import LEAST_REPLICATES, ConditionDifference, Interval, more_trainings
+from roboxim_eval.statistics.replicates import MIN_REPLICATES, ConditionDifference, Interval, more_trainings
 
 Kind = Literal["lower", "higher", "as_good", "cannot_tell"]
 Question = Literal["checkpoint", "condition"]
@@ -73,10 +73,10 @@ def condition_verdict(
     own = difference.p_value if p_value is None else p_value
     one = difference.replicates == 1
     many = f"{difference.replicates} training{'' if one else 's'} each"
-    if difference.replicates < LEAST_REPLICATES:
+    if difference.replicates < MIN_REPLICATES:
         sentence = (
             f"Cannot tell whether {first} is better or worse than {second} as a way to train: {many} do{'es' * one} "
-            f"not show how much trainings differ; at least {LEAST_REPLICATES} are needed."
+            f"not show how much trainings differ; at least {MIN_REPLICATES} are needed."
         )
         return Verdict(
             kind="cannot_tell", question="condition", difference=interval, p_value=1.0, p_as_good=1.0, sentence=sentence

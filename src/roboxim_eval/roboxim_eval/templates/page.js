@@ -73,7 +73,7 @@
       reason: text(row[5]), instruction: text(row[6]), steps: row[7], bag: row[8], message: row[9], film: row[10], drawn,
       told: row[12], page: row[13] };
   });
-  const PAGE = 50, MOST_COLUMNS = 4;
+  const PAGE = 50, MAX_COLUMNS = 4;
   const list = document.getElementById("list"), filter = document.getElementById("filter"), search = document.getElementById("search");
   const made = (tag, content, cls) => { const e = document.createElement(tag); if (content) e.textContent = content; if (cls) e.className = cls; return e; };
   const linked = (content, href) => { const a = made("a", content); a.href = href; return a; };
@@ -86,7 +86,7 @@
     const key = [e.replicate, e.cell, e.scene].join("\n");
     scenes.set(key, [...(scenes.get(key) || []), e]);
   }
-  const paired = arms.length > 1 && arms.length <= MOST_COLUMNS && [...scenes.values()].every((s) => new Set(s.map((e) => e.arm)).size === s.length);
+  const paired = arms.length > 1 && arms.length <= MAX_COLUMNS && [...scenes.values()].every((s) => new Set(s.map((e) => e.arm)).size === s.length);
   const groups = paired ? [...scenes.values()] : episodes.map((e) => [e]);
   const varies = (of) => new Set(episodes.map(of)).size > 1;
   const number = (value) => (value !== "" && !isNaN(value) ? Number(value) : value);

@@ -14,7 +14,7 @@ from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
 
 Array = npt.NDArray[np.float64]
-LEAST_PADDING_M = 1e-3
+MIN_PADDING_M = 1e-3
 """Smallest padding of a search, used even if the request sets none: barely clear paths are slow to prove [m].
 
 Pairs that are nearer at the start or at a goal get less.
@@ -79,7 +79,7 @@ class PaddedSweep(Sweep):
             goals: Free arm configurations, shape (N, dof) [rad].
             part: Fraction of the padding to keep.
         """
-        return self.exact.eased(part * max(self.search_padding, LEAST_PADDING_M), np.vstack([begin, goals]))
+        return self.exact.eased(part * max(self.search_padding, MIN_PADDING_M), np.vstack([begin, goals]))
 
     def check_upright(self, begin: Array) -> None:
         """Check that the tool is upright at the start.

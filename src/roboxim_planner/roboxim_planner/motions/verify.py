@@ -212,8 +212,8 @@ def _limit_violations(
             peaks = np.abs(native.extremes(values)).max(axis=0)
             joint = int(np.argmax(peaks / limit))
             if peaks[joint] > _SLACK * limit[joint]:
-                peak, most = peaks[joint], limit[joint]
-                found.append(f"{what} of {names[joint]} reaches {peak:.4g} {unit}, its limit is {most:.4g}")
+                peak, bound = peaks[joint], limit[joint]
+                found.append(f"{what} of {names[joint]} reaches {peak:.4g} {unit}, its limit is {bound:.4g}")
     if limits.limits_tcp and velocities is not None:
         found.extend(_tcp_violations(robot, positions, velocities, limits))
     return tuple(found)

@@ -23,7 +23,7 @@ from roboxim_core.errors import ConfigError
 
 MAGIC, PROTOCOL = 0x1950A86A20F9469CFC6C, 1001
 """First two numbers of the file."""
-MOST_NUMBERS = 1 << 28
+MAX_NUMBERS = 1 << 28
 """Largest number of elements of an array."""
 KINDS = {"FloatStorage": np.dtype("<f4"), "LongStorage": np.dtype("<i8")}
 """Element types by the names of PyTorch's storages."""
@@ -87,7 +87,7 @@ class _Reader(pickle.Unpickler):
     def persistent_load(self, pid: Any) -> _Storage:
         """Return the storage that an entry refers to."""
         what, kind, key, _, count, *_ = pid
-        if what != "storage" or not isinstance(kind, np.dtype) or not 0 <= count <= MOST_NUMBERS:
+        if what != "storage" or not isinstance(kind, np.dtype) or not 0 <= count <= MAX_NUMBERS:
             raise pickle.UnpicklingError(f"it refers to {what!r}, which is not allowed")
         return self.storages.setdefault(str(key), _Storage(kind, int(count)))
 

@@ -20,7 +20,7 @@ UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 """Exceptions that reading a damaged checkpoint raises."""
 
 
-MOST_UNPACKED = 256 * 2**20
+MAX_UNPACKED = 256 * 2**20
 """Largest size of the compressed arrays of a file once unpacked [B]; RoboXim stores weights uncompressed."""
 
 
@@ -34,10 +34,10 @@ def require_no_bomb(file: Path) -> None:
     """
     with zipfile.ZipFile(file) as archive:
         for member in archive.infolist():
-            if member.file_size > max(MOST_UNPACKED, member.compress_size):
+            if member.file_size > max(MAX_UNPACKED, member.compress_size):
                 raise ValueError(
                     f"'{member.filename}' has {member.compress_size} bytes and unpacks to {member.file_size}; "
-                    f"compressed arrays may have {MOST_UNPACKED}"
+                    f"compressed arrays may have {MAX_UNPACKED}"
                 )
 
 

@@ -154,7 +154,7 @@ def assemble(
     firsts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
     starts = np.isin(np.arange(len(actions)), firsts)
     empty = like.empty if like is not None else empty_below(proprio[:, 9], actions[:, 6] < CLOSED_BELOW, starts)
-    grasps, least, released, failed = zip(
+    grasps, least_opening, released, failed = zip(
         *(grasps_of(e.proprio[:, 9], e.proprio[:, 2], e.actions[:, 6] < CLOSED_BELOW, empty) for e in kept), strict=True
     )
     return Demonstrations(
@@ -164,7 +164,7 @@ def assemble(
         actions=actions,
         ends=np.repeat(np.cumsum(lengths) - 1, lengths).astype(np.int32),
         grasps=np.concatenate([np.where(g == NONE, NONE, g + at) for g, at in zip(grasps, firsts, strict=True)]),
-        least_opening=np.concatenate(least),
+        least_opening=np.concatenate(least_opening),
         released=np.concatenate(released),
         failed=np.concatenate(failed),
         empty=empty,

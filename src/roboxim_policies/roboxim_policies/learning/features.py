@@ -158,7 +158,7 @@ class GraspRule:
         self._empty = empty
         self._seen = 0
         self._was_closing = False
-        self._begin, self._least = NONE, math.inf
+        self._begin, self._least_opening = NONE, math.inf
         self._lowest: float | None = None
 
     def observe(self, opening: float, height: float, *, closing: bool) -> Grasp:
@@ -172,12 +172,12 @@ class GraspRule:
         if opening < self._empty:
             self._begin = NONE
         elif closing and not self._was_closing:
-            self._begin, self._least = self._seen, opening
+            self._begin, self._least_opening = self._seen, opening
         self._was_closing = closing
         self._seen += 1
-        self._least = opening if self._begin == NONE else min(self._least, opening)
+        self._least_opening = opening if self._begin == NONE else min(self._least_opening, opening)
         self._lowest = _lowest_since_failure(self._lowest, opening, height, self._empty)
-        return Grasp(self._begin, self._least, not closing, self._lowest is not None)
+        return Grasp(self._begin, self._least_opening, not closing, self._lowest is not None)
 
 
 def _lowest_since_failure(lowest: float | None, opening: float, height: float, empty: float) -> float | None:
@@ -198,8 +198,8 @@ def grasps_of(openings: Floats, heights: Floats, closed: Flags, empty: float) ->
     """
     rule, closing = GraspRule(empty), [False, *closed[:-1].tolist()]
     steps = zip(openings.tolist(), heights.tolist(), closing, strict=True)
-    begin, least, released, failed = zip(*(rule.observe(o, h, closing=c) for o, h, c in steps), strict=True)
-    return np.array(begin, np.int32), np.array(least, openings.dtype), np.array(released), np.array(failed)
+    begin, least_opening, released, failed = zip(*(rule.observe(o, h, closing=c) for o, h, c in steps), strict=True)
+    return np.array(begin, np.int32), np.array(least_opening, openings.dtype), np.array(released), np.array(failed)
 
 
 class GraspMemory:

@@ -34,8 +34,8 @@ def wordings(instructions: Sequence[str], config: LearningConfig) -> list[list[s
     """
     name = getattr(config, "wordings", "")
     found = [[text, *(reworded(text, name) if name else ())] for text in instructions]
-    most = math.lcm(*map(len, found)) if found else 1
-    return [texts * (most // len(texts)) for texts in found]
+    length = math.lcm(*map(len, found)) if found else 1
+    return [texts * (length // len(texts)) for texts in found]
 
 
 class Supply:

@@ -21,7 +21,7 @@ from roboxim_policies.learning.supply import Supply
 NEAR_TICKS = (2, 16)
 """Ticks before a grasp within which its predicted pose is judged."""
 BATCH = 128
-MOST = 1024
+MAX_SAMPLES = 1024
 """Most samples of held-out demonstrations that are judged."""
 
 
@@ -98,7 +98,7 @@ class HeldOut:
     def __init__(
         self, data: Demonstrations, config: LearningConfig, stats: Statistics, cameras: tuple[str, ...]
     ) -> None:
-        """Prepare the samples: at most `MOST`, evenly spaced.
+        """Prepare the samples: at most `MAX_SAMPLES`, evenly spaced.
 
         Args:
             data: The demonstrations, with the vocabulary of the training data (``assemble(like=...)``).
@@ -109,7 +109,7 @@ class HeldOut:
         config = replace(config, retry=0.0, shift_px=0, held_out=0, patience=0)
         supply = Supply(data, config)
         _, network_of = make_network(config, cameras, len(data.vocabulary), 0)
-        chosen = np.arange(0, len(data), -(-len(data) // MOST))
+        chosen = np.arange(0, len(data), -(-len(data) // MAX_SAMPLES))
         self.episodes = data.episodes
         self._batches = [
             _undisturbed(supply, cameras, part) for part in np.split(chosen, range(BATCH, len(chosen), BATCH))

@@ -16,7 +16,7 @@ from typing import Any
 from roboxim_core.errors import PolicyError
 from roboxim_core.policies import EpisodeStart, ObservationWindow, Policy, PolicyDescription
 
-MOST = 64
+MAX_BATCH = 64
 """Largest number of requests of a batch."""
 SHARE = 0.5
 """Longest wait for the requests of further simulators, as a share of the last batch's time."""
@@ -115,8 +115,8 @@ class Batcher:
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._closed)
             wait_s = min(SHARE * self._took_s, LONGEST_WAIT_S)
-            self._changed.wait_for(lambda: len(self._waiting) >= min(self._members, MOST) or self._closed, wait_s)
-            batch, self._waiting = self._waiting[:MOST], self._waiting[MOST:]
+            self._changed.wait_for(lambda: len(self._waiting) >= min(self._members, MAX_BATCH) or self._closed, wait_s)
+            batch, self._waiting = self._waiting[:MAX_BATCH], self._waiting[MAX_BATCH:]
             if self._closed:
                 for request in (*batch, *self._waiting):
                     request.answer.set_exception(PolicyError("the server stops"))

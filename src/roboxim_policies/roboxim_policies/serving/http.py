@@ -17,7 +17,7 @@ from roboxim_core.conventions import Convention
 from roboxim_core.errors import InvalidRequestError
 from roboxim_policies.serving.base import PolicyServer
 from roboxim_policies.serving.listening import BoundedListener
-from roboxim_policies.serving.sessions import MOST_SESSIONS, Session, Sessions, request_of
+from roboxim_policies.serving.sessions import MAX_SESSIONS, Session, Sessions, request_of
 from roboxim_policies.wires import openvla
 from roboxim_policies.wires.arrays import MESSAGE_BYTES
 from roboxim_policies.wires.openpi import OWN_SERVER
@@ -143,7 +143,7 @@ class OpenVlaServer(PolicyServer):
         """Yield a client's session, alone; those that asked longest ago are forgotten when there are too many."""
         with self._lock:
             if name not in self._clients:
-                while len(self._clients) >= MOST_SESSIONS:
+                while len(self._clients) >= MAX_SESSIONS:
                     self._clients.popitem(last=False)[1].close()
                 self._clients[name] = _Client(self.sessions)
             self._clients.move_to_end(name)

@@ -21,9 +21,9 @@ from typing import Any
 from roboxim_policies.wires.websocket import OTHERS
 from roboxim_ros.peer_user import user_of_peer
 
-MOST_CONNECTIONS = 320
+MAX_CONNECTIONS = 320
 """Largest number of open connections of a server: more than its sessions, of which a shared policy has 256."""
-MOST_REFUSED, REFUSING_S, RECEIVED_BYTES = 8, 2.0, 65536
+MAX_REFUSALS, REFUSING_S, RECEIVED_BYTES = 8, 2.0, 65536
 """Clients that are told at once why they are refused, the time for each of its two messages, and their size."""
 REFUSAL = b"HTTP/1.1 403 Forbidden\r\nContent-Length: %d\r\nConnection: close\r\n\r\n%b" % (len(OTHERS), OTHERS)
 
@@ -36,14 +36,14 @@ QUIET.setLevel(logging.CRITICAL)
 class BoundedListener(socket.socket):
     """A listening socket that accepts a bounded number of connections, on a loopback address of its own user alone."""
 
-    most: int = MOST_CONNECTIONS
+    most: int = MAX_CONNECTIONS
     """Largest number of open connections."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         """Make a socket; see `of` and `at`."""
         super().__init__(*arguments, **options)
         self._accepted: list[socket.socket] = []
-        self._refusing = threading.BoundedSemaphore(MOST_REFUSED)
+        self._refusing = threading.BoundedSemaphore(MAX_REFUSALS)
         self._all_users = True
         self._log: Callable[[str], None] = lambda text: None
 

@@ -41,7 +41,7 @@ from roboxim_policies.serving.instances import Instances
 from roboxim_policies.wires.openpi import OWN_SERVER
 from roboxim_policies.wires.parts import last_part
 
-MOST_SESSIONS = 32
+MAX_SESSIONS = 32
 """Largest number of sessions at the same time."""
 JUMP = 2.0
 """A tool that moves this many times the largest motion of an action, from one request to the next, was set back."""
@@ -141,7 +141,7 @@ class Sessions:
                 f"'{self.convention.name}' has {', '.join(cameras) or 'none'}"
             )
         _require_convertible(self.description, self.convention)
-        self._instances = Instances(first, lambda: GuardedPolicy(make()), max_instances=MOST_SESSIONS)
+        self._instances = Instances(first, lambda: GuardedPolicy(make()), max_instances=MAX_SESSIONS)
 
     @contextmanager
     def session(self) -> Iterator[Session]:

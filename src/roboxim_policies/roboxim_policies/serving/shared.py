@@ -29,7 +29,7 @@ from roboxim_policies.serving.websocket import WebSocketServer
 from roboxim_policies.wires import openpi
 from roboxim_policies.wires.openpi import OWN_SERVER
 
-MOST_SESSIONS = 256
+MAX_SESSIONS = 256
 """Largest number of simulators at the same time."""
 IMAGES = "images"
 """Key of a request: camera to the pictures of the window, uint8, shape (window, height, width, 3)."""
@@ -57,7 +57,7 @@ class SharedSessions:
                 "wire carries; leave --policy-servers out"
             )
         self.batcher = Batcher(type(first)) if answers_batches(type(first)) else None
-        self._instances = Instances(first, lambda: _another(first) or make(), max_instances=MOST_SESSIONS)
+        self._instances = Instances(first, lambda: _another(first) or make(), max_instances=MAX_SESSIONS)
 
     @contextmanager
     def session(self) -> Iterator[GuardedPolicy]:

@@ -20,7 +20,7 @@ from roboxim_policies.wires.errors import invalid, unreadable
 
 MESSAGE_BYTES = 64 * 2**20
 """Largest message that is sent or received [bytes]: dozens of large pictures."""
-MOST_ROWS = 1_000
+MAX_ROWS = 1_000
 """Largest number of actions in an answer."""
 AXES = 8
 """Largest number of axes of an array."""
@@ -126,9 +126,9 @@ def rows_of(value: Any, what: str) -> npt.NDArray[np.float64]:
     if value.ndim == 3 and value.shape[0] == 1:
         value = value[0]
     rows = np.asarray(value[None] if value.ndim == 1 else value, np.float64)
-    if rows.ndim != 2 or not 1 <= rows.shape[0] <= MOST_ROWS or not 1 <= rows.shape[1] <= 256:
+    if rows.ndim != 2 or not 1 <= rows.shape[0] <= MAX_ROWS or not 1 <= rows.shape[1] <= 256:
         raise invalid(
-            f"{what} must have shape (n, D) with n from 1 to {MOST_ROWS}, or (D,); got {echo(list(value.shape))}"
+            f"{what} must have shape (n, D) with n from 1 to {MAX_ROWS}, or (D,); got {echo(list(value.shape))}"
         )
     if not np.isfinite(rows).all():
         row, column = np.argwhere(~np.isfinite(rows))[0].tolist()

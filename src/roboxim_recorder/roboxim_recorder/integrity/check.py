@@ -26,9 +26,9 @@ from roboxim_recorder.integrity.ticks import TickCheck
 from roboxim_recorder.recording import outcome_metadata
 from roboxim_ros.messages.conversions import from_msg
 
-MOST_PROBLEMS = 50
+MAX_PROBLEMS = 50
 """Number of problems that are listed; further ones are only counted."""
-MOST_NAMES = 3
+MAX_NAMES = 3
 """Number of listed differences in names and descriptions that another program caused; further ones are only counted."""
 
 
@@ -82,8 +82,8 @@ def check_bag(path: Path | str) -> BagReport:
     except RoboximError as error:
         problems.append(str(error))
         foreign = isinstance(error, NotAnEpisodeError)
-    if len(problems) > MOST_PROBLEMS:
-        problems[MOST_PROBLEMS:] = [f"and {len(problems) - MOST_PROBLEMS} more problems"]
+    if len(problems) > MAX_PROBLEMS:
+        problems[MAX_PROBLEMS:] = [f"and {len(problems) - MAX_PROBLEMS} more problems"]
     return BagReport(
         path=Path(path),
         episode_id=check.info.episode_id if check and check.info else "",
@@ -152,9 +152,9 @@ class _BagCheck:
             self.notes.append("without the metadata record, which repeats what its messages say")
         if self._check is not None and self._check.filtered:
             self.notes.append(f"filtered out, and not needed by exports: {', '.join(self._check.filtered)}")
-        self.notes += names[:MOST_NAMES]
-        if len(names) > MOST_NAMES:
-            self.notes.append(f"and {len(names) - MOST_NAMES} more differences of names and metadata.yaml")
+        self.notes += names[:MAX_NAMES]
+        if len(names) > MAX_NAMES:
+            self.notes.append(f"and {len(names) - MAX_NAMES} more differences of names and metadata.yaml")
 
     def _message(self, topic: str, message: Message) -> Iterator[str]:
         self._counts[topic] += 1

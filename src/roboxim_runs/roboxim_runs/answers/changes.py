@@ -18,7 +18,7 @@ from roboxim_tasks.meaning import canonical_instruction
 from roboxim_tasks.roles import task_distractors, task_objects
 
 Apply = Callable[[TaskSpec, SceneSpec, int], tuple[TaskSpec, SceneSpec]]
-LEAST_SHIFT_M = 0.05
+MIN_SHIFT_M = 0.05
 """Distance from the middle of the table from which moving an object there is a change [m]."""
 EDGE_M = 0.06
 """Least distance of a moved object from the table's edge [m]."""
@@ -177,7 +177,7 @@ def _in_the_middle(task: TaskSpec, scene: SceneSpec) -> Iterator[Change]:
     if mine is None:
         return
     (x, y, _), (at_x, at_y, _) = scene.table.center, mine.pose.position
-    if max(abs(x - at_x), abs(y - at_y)) < LEAST_SHIFT_M:
+    if max(abs(x - at_x), abs(y - at_y)) < MIN_SHIFT_M:
         return
 
     def moved(entity: EntitySpec) -> EntitySpec:

@@ -18,7 +18,7 @@ from roboxim_core.plain_data.documents import read_json, read_text
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import outcomes_of_card
 from roboxim_eval.statistics.correlation import (
-    LEAST_POLICIES,
+    MIN_POLICIES,
     WHOLE,
     Correlation,
     PolicyCounts,
@@ -145,13 +145,13 @@ def paired(first: Table, second: Table) -> list[PolicyCounts]:
     """Return the policies that two tables have, in the order of the first one.
 
     Raises:
-        ConfigError: When they have fewer than `LEAST_POLICIES` in common.
+        ConfigError: When they have fewer than `MIN_POLICIES` in common.
     """
     common = [name for name in first if name in second]
-    if len(common) < LEAST_POLICIES:
+    if len(common) < MIN_POLICIES:
         raise ConfigError(
             f"the tables have {len(common)} policies in common ({', '.join(common) or 'none'}), and a correlation "
-            f"needs at least {LEAST_POLICIES}: two points always lie on a line. They have {', '.join(first)}; and "
+            f"needs at least {MIN_POLICIES}: two points always lie on a line. They have {', '.join(first)}; and "
             f"{', '.join(second)}"
         )
     return [policy_counts(name, first[name], second[name]) for name in common]

@@ -18,7 +18,7 @@ from roboxim_runs.answers.trying import TryBench, recorded_run, seed_of
 JITTER_RAD = 0.004
 """Standard deviation of each arm joint at the start of a repetition [rad]: repetitions of a policy without chance would
 be one and the same run."""
-MOST_PAIRS = 36
+MAX_PAIRS = 36
 """Largest number of pairs of changes that are tried."""
 
 
@@ -88,7 +88,7 @@ def explain(
     found = explanation(as_it_was, singles)
     if found.kind != "none" or not config.pairs:
         return found
-    pairs = [both(one, two) for one, two in itertools.combinations(_promising(changes, singles), 2)][:MOST_PAIRS]
+    pairs = [both(one, two) for one, two in itertools.combinations(_promising(changes, singles), 2)][:MAX_PAIRS]
     return explanation(as_it_was, singles, list(tallies(pairs)))
 
 

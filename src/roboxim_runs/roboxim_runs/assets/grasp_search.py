@@ -28,7 +28,7 @@ SPARE_M = 0.008
 """Least part of the gripper's stroke that stays free [m]."""
 ROOMS_M = (0.022, 0.012)
 """Openings before a grasp beyond the width of what is grasped: wide if the shape leaves room for it [m]."""
-MOST_BLOCKED = 400
+MAX_BLOCKED = 400
 """Candidates at which the search ends whose open hand is inside something; these cost little."""
 STEEP = math.cos(math.radians(45))
 """Least share of its closing direction that is level: fingers do not fit under an object."""
@@ -82,7 +82,7 @@ def find_grasps(
     client = BulletClient()
     try:
         for candidate in _candidates(pairs, model):
-            if len(found) >= enough or closed >= tries or len(failures) - closed >= MOST_BLOCKED:
+            if len(found) >= enough or closed >= tries or len(failures) - closed >= MAX_BLOCKED:
                 break
             if _like_one_of(candidate, found):
                 continue

@@ -294,8 +294,8 @@ class _Import:
                 "gripper's opening"
             )
         else:
-            most = max(set(search.failures), key=search.failures.count) if search.failures else "all reach the table"
-            self.report.append(f"grasps: none of {search.tried} tried holds; most often {most}")
+            reason = max(set(search.failures), key=search.failures.count) if search.failures else "all reach the table"
+            self.report.append(f"grasps: none of {search.tried} tried holds; most often {reason}")
 
 
 def _library() -> Any:

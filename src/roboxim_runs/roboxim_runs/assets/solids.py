@@ -16,7 +16,7 @@ from roboxim_core.poses import Array
 
 NEARLY_CONVEX = 0.95
 """Share of its convex hull's volume from which a solid is one convex part."""
-MOST_PARTS = 16
+MAX_PARTS = 16
 """Most convex parts of an object; PyBullet keeps that many shapes of a link."""
 
 
@@ -40,7 +40,7 @@ class Effort:
 
 EFFORTS = {
     "fast": Effort(concavity=0.08, parts=8, search=(30, 10, 2), resolution=800),
-    "thorough": Effort(concavity=0.04, parts=MOST_PARTS, search=(150, 20, 3), resolution=2000),
+    "thorough": Effort(concavity=0.04, parts=MAX_PARTS, search=(150, 20, 3), resolution=2000),
 }
 """Name to effort; fast takes seconds a mesh."""
 

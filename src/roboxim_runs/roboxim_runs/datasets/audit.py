@@ -304,7 +304,7 @@ class _Pictures:
     """Takes the pictures of the first findings of each check."""
 
     def __init__(self, max_pictures: int) -> None:
-        self._most = max_pictures
+        self._max_pictures = max_pictures
         self._pictured: Counter[str] = Counter()
         self._found: Counter[str] = Counter()
         self.taken: dict[tuple[str, int], list[Picture]] = {}
@@ -316,7 +316,7 @@ class _Pictures:
             number = self._found[check]
             self._found[check] += 1
             cameras = [c for c in finding.cameras or episode.episode.cameras if c in episode.episode.cameras]
-            if self._pictured[check] < self._most and cameras and finding.ticks:
+            if self._pictured[check] < self._max_pictures and cameras and finding.ticks:
                 self._pictured[check] += 1
                 last = len(episode.episode) - 1
                 ticks = {min(tick, last) for tick in finding.ticks[:PICTURED_TICKS]}

@@ -39,7 +39,7 @@ SIDE_PX = 256
 """Side of the image that numbers of pixels are given for [px]."""
 LOOKS = 8
 """Ticks before the first touch at which visibility is measured, beside tick 0."""
-LEAST_PIXELS = 50
+MIN_PIXELS = 50
 """Fewest pixels of an object from which its colour is taken."""
 SAME_SIZE = 1.1
 """Largest ratio of two objects' sizes at which their size does not distinguish them."""
@@ -268,7 +268,7 @@ class BagTruth:
         for named, other in rivals:
             for camera, image in first.images.items():
                 areas = [image[masks[camera] == ids[thing.entity]] for thing in (named, other)]
-                if min(map(len, areas)) >= LEAST_PIXELS:
+                if min(map(len, areas)) >= MIN_PIXELS:
                     difference = palette_difference(*areas)
                     found.append(
                         ColorPair(

@@ -49,7 +49,7 @@ class EnvironmentServer:
             log: Receives a line for each connection and each error.
         """
         self.host, self.port = host, port
-        self._most, self._all_users, self._log = max_environments, all_users, log
+        self._max_environments, self._all_users, self._log = max_environments, all_users, log
         self._places = threading.Semaphore(max_environments)
         self._connections: set[Any] = set()
         self._stops = False
@@ -95,7 +95,7 @@ class EnvironmentServer:
         from websockets.exceptions import ConnectionClosed
 
         if not self._places.acquire(blocking=False):
-            connection.close(1013, f"the server has {self._most} environments already")
+            connection.close(1013, f"the server has {self._max_environments} environments already")
             return
         self._connections.add(connection)
         served = _Served()

@@ -35,7 +35,7 @@ SIZE_PX = (16, 4096)
 """Smallest and largest side of an image."""
 
 
-MOST_EPISODES = 10**7
+MAX_EPISODES = 10**7
 """Largest number of episodes of a run, whose indices are kept in memory."""
 
 
@@ -104,12 +104,12 @@ class EpisodesConfig:
         for name in ("objects", "cameras", "lights", "textures"):
             if isinstance(getattr(self, name), str):
                 object.__setattr__(self, name, (getattr(self, name),))
-        for name, least in (("episodes", 0), ("workers", 1), ("seed", 0)):
+        for name, minimum in (("episodes", 0), ("workers", 1), ("seed", 0)):
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool):
                 raise ConfigError(f"{name} must be a whole number, got {value!r}")
-            if value < least:
-                raise ConfigError(f"{name} must be >= {least}, got {value}")
+            if value < minimum:
+                raise ConfigError(f"{name} must be >= {minimum}, got {value}")
         sides = self.image_size
         if len(sides) != 2 or not all(isinstance(side, int) for side in sides):
             raise ConfigError(f"size must be a whole number or two (width, height), got {self.size!r}")
@@ -120,8 +120,8 @@ class EpisodesConfig:
         if self.store:
             with Store.opened(self.store):
                 pass
-        if self.episodes > MOST_EPISODES:
-            raise ConfigError(f"episodes must be at most {MOST_EPISODES}, got {self.episodes}; begin several runs")
+        if self.episodes > MAX_EPISODES:
+            raise ConfigError(f"episodes must be at most {MAX_EPISODES}, got {self.episodes}; begin several runs")
         if self.episodes and not self.indices:
             raise ConfigError(f"shard {self.shard} of {self.episodes} episodes has none; take fewer shards")
 

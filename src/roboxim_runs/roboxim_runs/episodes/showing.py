@@ -34,7 +34,7 @@ EXPERT_S = 60.0
 NOTHING_PRINTED = (
     "Its worker printed nothing in this episode; what a policy behind a server prints is in the server's log."
 )
-MOST_LOG = 400
+MAX_LOG_LINES = 400
 """Largest number of lines of the policy's output; the first and the last ones are shown."""
 NOBODY = "Nobody else acted in this scene; roboxim show {} --expert plans the expert's way beside it."
 _NODE_LINE = re.compile(r"\[(DEBUG|INFO|WARN|ERROR|FATAL)\] \[[\d.]+\] \[")
@@ -232,9 +232,13 @@ def printed(run: Path, index: int) -> tuple[str, str]:
         start = len(lines) - lines[::-1].index(mark)  # the last attempt
         mine = list(takewhile(lambda line: not line.startswith(("--- episode ", "nanobind: leaked")), lines[start:]))
         mine = [line for line in mine if not _NODE_LINE.match(line)]
-        if len(mine) > MOST_LOG:
-            half = MOST_LOG // 2
-            mine = [*mine[:half], f"... {len(mine) - MOST_LOG} lines left out; all are in {log.name}", *mine[-half:]]
+        if len(mine) > MAX_LOG_LINES:
+            half = MAX_LOG_LINES // 2
+            mine = [
+                *mine[:half],
+                f"... {len(mine) - MAX_LOG_LINES} lines left out; all are in {log.name}",
+                *mine[-half:],
+            ]
         return (
             "\n".join(mine),
             "" if mine else NOTHING_PRINTED,

@@ -11,7 +11,7 @@ from roboxim_recorder.bag import BagReader, mcap_file
 from roboxim_recorder.run_bags import read_results
 from roboxim_runs.episodes.showing import Other
 from roboxim_runs.evaluation.report import RECORD_FILE, inside, stored_record
-from roboxim_runs.evaluation.shown import MOST_OTHERS
+from roboxim_runs.evaluation.shown import MAX_OTHERS
 
 RESULTS_FILE = "results.jsonl"
 EXPERIMENT_FILE = "experiment.json"
@@ -97,7 +97,7 @@ def in_evaluation(bag: Path, evaluation: Path, policy: str) -> FoundEpisode:
             bags = (run / result.bag for result in read_results(run) if result.index == info.index and result.bag)
             found += [Other(name=name, bag=one) for one in bags if one.exists() and _same_scene(one, info)]
     found.sort(key=lambda one: not BagReader(one.bag).info.actor_privileged)
-    return FoundEpisode(bag=bag, policy=policy, others=tuple(found[:MOST_OTHERS]))
+    return FoundEpisode(bag=bag, policy=policy, others=tuple(found[:MAX_OTHERS]))
 
 
 def _same_scene(bag: Path, info: EpisodeInfo) -> bool:

@@ -205,8 +205,8 @@ def _first_info(result: PolicyResult) -> EpisodeInfo | None:
 
 def listed(names: Iterable[str]) -> str:
     """Return names as a sentence lists them, e.g. ``a, b and c``."""
-    *most, last = names
-    return f"{', '.join(most)} and {last}" if most else last
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 def timing_line(results: Sequence[EpisodeResult]) -> str:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 PAGES = "pages"
 """Folder beside a report with the pages of the episodes that it shows, in a folder for each policy."""
-MOST_OTHERS = 2
+MAX_OTHERS = 2
 """Largest number of episodes of others in an episode's page."""
 
 
@@ -182,7 +182,7 @@ def write_episode_page(
     from roboxim_runs.episodes.showing import Other, shown_episode
 
     there = [Other(name=other, bag=one, link=f"../{_folder(other)}/{one.name}.html") for other, one in others.items()][
-        :MOST_OTHERS
+        :MAX_OTHERS
     ]
     page = shown_episode(bag, films=film, others=there, shown_as=os.path.relpath(shown_as, out), name=name, run=run)
     path = out / PAGES / _folder(name) / f"{bag.name}.html"

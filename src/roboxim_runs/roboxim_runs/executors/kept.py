@@ -25,7 +25,7 @@ from roboxim_bringup.process import stop
 
 Spawned = tuple[subprocess.Popen[bytes], "Connection[Any, Any]"]
 """A worker's process, and the connection to it."""
-MOST_WORKS = 8
+MAX_WORKS = 8
 """Number of works that a process serves before it ends; memory that libraries keep of each work, e.g. compiled
 policies, adds up."""
 
@@ -66,9 +66,9 @@ class KeptProcesses:
         return None
 
     def give(self, process: subprocess.Popen[bytes], connection: Connection[Any, Any]) -> None:
-        """Keep a process whose worker is closed, unless it has served `MOST_WORKS`."""
+        """Keep a process whose worker is closed, unless it has served `MAX_WORKS`."""
         with self._lock:
-            if self._works[process.pid] >= MOST_WORKS:
+            if self._works[process.pid] >= MAX_WORKS:
                 connection.close()  # the process ends on this
                 return
             self._idle.append((process, connection))

@@ -35,7 +35,7 @@ from roboxim_runs.storage.store import file_sha256
 
 BENCHMARK_FILE = "benchmark.json"
 MANIFEST = "pack.json"
-MOST_BYTES = 200_000_000
+MAX_BYTES = 200_000_000
 """Largest size of a pack, so that it can be moved; see `pack`."""
 LEFT_OUT = {*PLACES.values(), PARTIAL, "logs"}
 """Folders of a run that are not packed, wherever they are."""
@@ -70,13 +70,13 @@ def packed_files(out: Path) -> Iterator[Path]:
 
 LARGEST_MANIFEST = 64 << 20
 """A larger manifest is not read [B]; those of experiments have some hundred kB."""
-MOST_FACTOR = 100
+MAX_FACTOR = 100
 """Largest size of what a pack unpacks to, as a multiple of its own; of text it is about 20."""
-MOST_FILES = 1_000_000
+MAX_FILES = 1_000_000
 """Largest number of files of a pack."""
 
 
-def pack(out: Path, target: Path, *, most_bytes: int = MOST_BYTES) -> Pack:
+def pack(out: Path, target: Path, *, most_bytes: int = MAX_BYTES) -> Pack:
     """Pack an experiment's or a benchmark's folder.
 
     Checkpoints of RoboXim's own policies are packed without the optimiser's state when their training is finished, see
@@ -231,14 +231,14 @@ def _require_bounds(archive: tarfile.TarFile, file: Path) -> None:
     Raises:
         ConfigError: Naming the file at which it exceeds the bounds.
     """
-    max_bytes = MOST_FACTOR * file.stat().st_size + LARGEST_MANIFEST
+    max_bytes = MAX_FACTOR * file.stat().st_size + LARGEST_MANIFEST
     total = 0
     for number, member in enumerate(archive, start=1):
         total += member.size
-        if total > max_bytes or number > MOST_FILES:
+        if total > max_bytes or number > MAX_FILES:
             raise ConfigError(
                 f"{file} is no pack: it has {file.stat().st_size / 1e6:.1f} MB and would unpack to more than "
-                f"{max_bytes / 1e6:.0f} MB or {MOST_FILES} files, at {limits.echo(member.name)}"
+                f"{max_bytes / 1e6:.0f} MB or {MAX_FILES} files, at {limits.echo(member.name)}"
             )
 
 

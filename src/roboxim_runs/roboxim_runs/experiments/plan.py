@@ -121,7 +121,7 @@ def hours(seconds: float) -> str:
 
 def _power_lines(design: Design) -> Iterator[str]:
     from roboxim_eval.statistics.power import SPREAD_AT, TRAINING_SPREAD
-    from roboxim_eval.statistics.replicates import LEAST_REPLICATES
+    from roboxim_eval.statistics.replicates import MIN_REPLICATES
 
     scenes, replicates = design.compared_scenes, design.config.replicates.count
     if not scenes:
@@ -132,11 +132,11 @@ def _power_lines(design: Design) -> Iterator[str]:
     yield f"  finds           {seen} with a chance of 80 % ({trainings}, {scenes} rollouts each)"
     many, worst = len(design.config.compare), detectable_drop(design, alone=True)
     if many > 1:
-        least = "no drop" if worst is None else f"one to {100 * (0.8 - worst):.0f} %"
-        yield f"                  {least} if none of the other {many - 1} comparisons is found (Holm's adjustment)"
-    if replicates < LEAST_REPLICATES:
+        smallest = "no drop" if worst is None else f"one to {100 * (0.8 - worst):.0f} %"
+        yield f"                  {smallest} if none of the other {many - 1} comparisons is found (Holm's adjustment)"
+    if replicates < MIN_REPLICATES:
         yield (
-            f"  warning         fewer than {LEAST_REPLICATES} trainings compare checkpoints, not ways to train; "
+            f"  warning         fewer than {MIN_REPLICATES} trainings compare checkpoints, not ways to train; "
             "verdicts will say so"
         )
     elif same_checkpoints(design):

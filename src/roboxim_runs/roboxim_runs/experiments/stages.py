@@ -158,10 +158,10 @@ class Stages:
     def _export(self, stage: Stage) -> dict[str, Any]:
         counts: dict[str, int] = stage.inputs["counts"]
         form = stage.inputs.get("format", RLDS)
-        most = max(counts.values())
+        largest = max(counts.values())
         selection = export_config(
-            form, stage.inputs.get("options", {}), where=(f"cell={','.join(counts)}",), per_cell=most,
-            cell_counts={cell: count for cell, count in counts.items() if count < most},
+            form, stage.inputs.get("options", {}), where=(f"cell={','.join(counts)}",), per_cell=largest,
+            cell_counts={cell: count for cell, count in counts.items() if count < largest},
         )  # fmt: skip
         report = export_dataset(
             form, self._folder(stage.needs[0]), self._folder(stage.name), selection, **self._options

@@ -26,11 +26,11 @@ def convex_parts(mesh: trimesh.Trimesh, *, min_gain: float, max_parts: int) -> l
     """
     pieces = [np.asarray(mesh.triangles, dtype=float)]
     cuts = [_best_cut(pieces[0])]
-    least = min_gain * _volume(pieces[0])
+    min_saved = min_gain * _volume(pieces[0])
     while len(pieces) < max_parts:
         k = int(np.argmax([saved for saved, _ in cuts]))
         saved, halves = cuts[k]
-        if saved < least:
+        if saved < min_saved:
             break
         pieces[k : k + 1] = halves
         cuts[k : k + 1] = [_best_cut(half) for half in halves]

@@ -184,11 +184,11 @@ def _link(link: Element, meshes: LinkMeshes) -> Element:
         ElementTree.SubElement(inertial, "mass", {"value": "0"})
         ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
     elif name != HAND:
-        for part, keys, least in (("mass", ("value",), LIGHT_KG), ("inertia", ("ixx", "iyy", "izz"), LIGHT_KG_M2)):
+        for part, keys, minimum in (("mass", ("value",), LIGHT_KG), ("inertia", ("ixx", "iyy", "izz"), LIGHT_KG_M2)):
             for key in keys:
                 found = inertial.find(part)
                 assert found is not None
-                found.set(key, f"{max(least, float(found.get(key, '0'))):.6g}")
+                found.set(key, f"{max(minimum, float(found.get(key, '0'))):.6g}")
     made.append(inertial)
     return made
 

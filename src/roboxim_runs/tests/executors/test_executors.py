@@ -158,7 +158,7 @@ def test_a_kept_process_that_ends_when_it_is_needed_is_replaced(work):
 
 
 def test_a_kept_process_ends_after_a_number_of_works(work, monkeypatch):
-    monkeypatch.setattr(kept_module, "MOST_WORKS", 2)
+    monkeypatch.setattr(kept_module, "MAX_WORKS", 2)
     given = replace(work(), leaves_nothing=True)
     with KeptProcesses() as kept:
         pids = [done.value["pid"] for _ in range(3) for done in LocalExecutor(1, kept=kept).run(given, jobs("say"))]

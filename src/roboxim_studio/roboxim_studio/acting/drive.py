@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 HUMAN = "human"
 """Name of the actor in bags."""
-MOST_STEPS = 3000
+MAX_STEPS = 3000
 """Actions after which an episode ends."""
 
 
@@ -81,7 +81,7 @@ def continued(film: Film, tick: int) -> tuple[Draw, list[tuple[StateRecord, Acte
         )
     last = min(tick, film.result.steps)
     states = film.states[1 : last + 1]
-    draw = Draw(task=info.task, scene=info.scene, max_steps=MOST_STEPS)
+    draw = Draw(task=info.task, scene=info.scene, max_steps=MAX_STEPS)
     return draw, list(zip(states, film.actors[:last], strict=True))
 
 
@@ -127,7 +127,7 @@ class Drive:
         self._recorder = FilmRecorder(graph.sim, bags=bags, on_tick=on_tick)
         config = RunConfig(
             run_seed=seed.run_seed, purpose=seed.purpose, actor=partner.name if partner else HUMAN,
-            max_steps=MOST_STEPS, keep="all", output_dir=str(folder.absolute()),
+            max_steps=MAX_STEPS, keep="all", output_dir=str(folder.absolute()),
         )  # fmt: skip
         described = Human(partner.description) if partner else Human()
         _, play = begin(graph, draw, described, self._recorder, seed, config=config, versions=versions())

@@ -19,7 +19,7 @@ FULL = 350.0
 """Reading at full deflection."""
 DEAD_ZONE = 0.1
 """Deflection below which the cap rests: a hand on it is never quite still."""
-MOST_BYTES = 64
+MAX_BYTES = 64
 TRANSLATION, ROTATION, BUTTONS = "1", "2", "3"
 """Numbers of the reports."""
 
@@ -68,7 +68,7 @@ def _shaped(value: float) -> float:
 
 def _bytes(values: Any) -> bytes:
     """Return a list of bytes; empty when it is none."""
-    if not isinstance(values, list) or len(values) > MOST_BYTES:
+    if not isinstance(values, list) or len(values) > MAX_BYTES:
         return b""
     good = all(isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 256 for value in values)
     return bytes(values) if good else b""

@@ -34,7 +34,7 @@ DEAD_ZONE = 0.15
 """Deflection of a stick below which it rests."""
 SLOW = 0.25
 """Factor of the speeds while slow is held."""
-MOST_HELD = 16
+MAX_HELD_KEYS = 16
 HELP = (
     "W S: away, back\nA D: left, right\nR F: up, down\nQ E: turn\nI K, J L: tilt\nShift: slowly\n"
     "Space: open or close\nEnter: end and keep\nBackspace: throw away"
@@ -71,7 +71,7 @@ class Steering:
         """Return what a message of a page says; what is not understood counts as not held."""
         held = message.get("held")
         pad = message.get("pad")
-        codes = [code for code in held if isinstance(code, str)][:MOST_HELD] if isinstance(held, list) else []
+        codes = [code for code in held if isinstance(code, str)][:MAX_HELD_KEYS] if isinstance(held, list) else []
         pad = pad if isinstance(pad, dict) else {}
         return Steering(
             held=frozenset(codes), axes=_numbers(pad.get("axes")), buttons=_numbers(pad.get("buttons")), target=target,
@@ -148,5 +148,5 @@ def _numbers(values: Any) -> tuple[float, ...]:
         return ()
     return tuple(
         min(max(float(value), -1.0), 1.0) if isinstance(value, int | float) and math.isfinite(value) else 0.0
-        for value in values[:MOST_HELD]
+        for value in values[:MAX_HELD_KEYS]
     )

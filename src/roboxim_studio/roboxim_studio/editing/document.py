@@ -23,7 +23,7 @@ from roboxim_tasks.fixed_scene import FixedScene, FixedTask, FixedTaskConfig, fi
 from roboxim_tasks.roles import DISTRACTOR, LIMITS, STAY
 from roboxim_tasks.skills import SKILLS
 
-MOST_STEPS = 200
+MAX_STEPS = 200
 """Largest number of edits that can be undone."""
 DEFAULT_DIGITS = 6
 """Digits of positions that a person drags [decimal places of metres]: what is shown is what is stored."""
@@ -276,7 +276,7 @@ class History:
         """Make an edit; returns whether it changed anything."""
         if document == self.now:
             return False
-        self._before = [*self._before[-(MOST_STEPS - 1) :], self.now]
+        self._before = [*self._before[-(MAX_STEPS - 1) :], self.now]
         self._after = []
         self.now = document
         return True

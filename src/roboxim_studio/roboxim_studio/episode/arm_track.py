@@ -31,7 +31,7 @@ JOINT_VECTORS = (
     "robot0_joint_pos",
 )  # fmt: skip
 """Names of vectors that hold the arm's joint positions first, and perhaps fingers after them."""
-MOST_FINGERS = 2
+MAX_FINGERS = 2
 NO_POSITIONS = ("vel", "effort", "torque")
 """Words in the names of vectors that hold something else of each joint."""
 SUFFIX = re.compile(r"[._](pos|position|positions|qpos)$")
@@ -125,7 +125,7 @@ def _sources(episode: Episode, rows: Sequence[Step], model: RobotModel) -> Itera
     for name in vectors:
         plain = name.rpartition("/")[2].rpartition(".")[2]
         size = len(rows[0].proprio[name])
-        if plain in JOINT_VECTORS and count <= size <= count + MOST_FINGERS:
+        if plain in JOINT_VECTORS and count <= size <= count + MAX_FINGERS:
             yield name, list(range(count))
 
 

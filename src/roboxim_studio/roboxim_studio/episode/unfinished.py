@@ -22,7 +22,7 @@ from roboxim_ros.messages.conversions import image_from_msg
 from roboxim_ros.messages.schemas import MessageSchema
 
 Picture = npt.NDArray[np.uint8]
-MOST_BYTES = 1 << 26
+MAX_BYTES = 1 << 26
 """Bytes that are read at once; an episode that grew by more shows its newest pictures at the next look."""
 _BEFORE, _AFTER = image_topic("|").split("|")
 
@@ -53,7 +53,7 @@ class Unfinished:
         try:
             with open(file, "rb") as stream:
                 stream.seek(self._at)
-                data = stream.read(MOST_BYTES)
+                data = stream.read(MAX_BYTES)
         except OSError:
             return
         read = 0

@@ -35,11 +35,11 @@ from roboxim_studio.panels.selection import CONDITIONS_HINT, MARKS, OpenEpisode,
 from roboxim_studio.serving.site import Site
 from roboxim_tasks.files import named
 
-MOST_MEASURED = 500
+MAX_MEASURED = 500
 """Episodes whose actions are measured; those of larger datasets are the first ones."""
 UNKNOWN = "unknown"
 ALL = "choose one"
-MOST_LISTED = 500
+MAX_LISTED = 500
 """Episodes that meet conditions and are listed."""
 LARGEST_PX = 256
 """Longer side of the pictures [px]; larger ones are scaled down."""
@@ -222,7 +222,7 @@ class DatasetPanel:
         names = [
             f"{self.selection.mark_of(name)}{name} | {self._known[name]['instruction'][0]}" for name in self._found
         ]
-        self._meeting.options = (ALL, *names[:MOST_LISTED])
+        self._meeting.options = (ALL, *names[:MAX_LISTED])
 
     def _show_named(self, shown: str) -> None:
         name = shown.removeprefix(MARKS["flag"]).removeprefix(MARKS["out"]).partition(" | ")[0]
@@ -258,9 +258,9 @@ class DatasetPanel:
             self._view.show(StateRecord(episode_id="", seq=seq, stamp_ns=0, robot=self.track.state(seq)))
 
     def measure(self) -> tuple[Distribution, ...]:
-        """Read the actions of all episodes, at most `MOST_MEASURED`, and show how they are distributed."""
+        """Read the actions of all episodes, at most `MAX_MEASURED`, and show how they are distributed."""
         assert self.dataset is not None
-        count = min(len(self.dataset), MOST_MEASURED)
+        count = min(len(self.dataset), MAX_MEASURED)
         actions = []
         for index in range(count):
             try:

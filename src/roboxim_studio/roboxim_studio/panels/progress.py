@@ -19,7 +19,7 @@ from roboxim_studio.panels import markup
 
 LOG_BYTES = 1 << 16
 """Number of bytes at the end of a worker's log that are read."""
-MOST_PICTURES = 8
+MAX_PICTURES = 8
 _MARK = re.compile(re.escape(EPISODE_MARK).replace(re.escape("{}"), r"(\d+)"))
 
 
@@ -61,7 +61,7 @@ class Progress:
         rows = [row for run, state in zip(runs, self.states, strict=True) for row in self._rows(run, state)]
         rows += [("recording", f"{one.name}, {one.ticks} ticks") for one in self.episodes]
         self._facts.content = markup.facts(rows, "run-progress") if rows else ""
-        self._show(self.episodes[:MOST_PICTURES])
+        self._show(self.episodes[:MAX_PICTURES])
 
     def _rows(self, run: Path, state: RunState) -> list[tuple[str, object]]:
         name = "run" if run == self._run else run.name

@@ -18,7 +18,7 @@ MARKS = {"": "", "flag": "! ", "out": "x "}
 """Mark of an episode to the text before its name."""
 TRIMS = ("Starts here", "Ends here", "Whole again")
 """How the open episode is trimmed at the tick that it shows."""
-MOST_FINDINGS = 12
+MAX_FINDINGS = 12
 """Findings of an audit that the panel lists."""
 CONDITIONS_HINT = "As for --where, separated by ;   e.g. object=mug; target.color!=red; steps<60; drawn.light=dim"
 
@@ -212,8 +212,8 @@ class Selection:
             return ()
         found = tuple((check.name, finding) for check in checks for finding in check.findings)
         self.flag(name for check in checks for finding in check.faults for name in finding.episodes)
-        shown = [f"{check}: {', '.join(one.episodes) or 'all'}: {one.text}" for check, one in found[:MOST_FINDINGS]]
-        more = [f"and {len(found) - MOST_FINDINGS} more"] if len(found) > MOST_FINDINGS else []
+        shown = [f"{check}: {', '.join(one.episodes) or 'all'}: {one.text}" for check, one in found[:MAX_FINDINGS]]
+        more = [f"and {len(found) - MAX_FINDINGS} more"] if len(found) > MAX_FINDINGS else []
         self.say("\n".join([*shown, *more]) or f"{len(checks)} checks found nothing")
         return found
 

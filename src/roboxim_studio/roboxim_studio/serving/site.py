@@ -52,7 +52,7 @@ if (self.Worker && self.OffscreenCanvas) {
 """
 """Starts the browser's WebGL in another thread while the page's script is unpacked: where WebGL is software, the first
 context of a browser took a quarter of the time to the first picture."""
-MOST_BYTES = 16_384
+MAX_BYTES = 16_384
 """Largest message of the control channel."""
 
 Received = Callable[[int, Mapping[str, Any]], None]
@@ -200,7 +200,7 @@ class Site:
         try:
             await connection.send(json.dumps(self._told))
             async for text in connection:
-                if isinstance(text, str) and len(text) <= MOST_BYTES and (message := _object(text)):
+                if isinstance(text, str) and len(text) <= MAX_BYTES and (message := _object(text)):
                     self.received(page, message)
         except ConnectionClosed:
             pass

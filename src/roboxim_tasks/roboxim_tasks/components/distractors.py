@@ -114,13 +114,13 @@ class DistractorsReset(ResetComponent):
     ) -> Demand:
         middle, size = centre(target, context.library), context.library.entity_model(target).size
         reach = math.hypot(*context.library.object(thing.model, thing.modifiers).size[:2]) / 2
-        least = min(size[:2]) / 2 + near.gap_m
+        nearest = min(size[:2]) / 2 + near.gap_m
         x, y, _ = scene.robot.pose.inverse().apply(middle)
         distance = distance_to(target, near, context.library)
         outline = footprint(target, context.library)
 
         def around(rng: np.random.Generator) -> Array:
-            angle, radius = rng.uniform(-math.pi, math.pi), rng.uniform(least, near.distance_m + reach)
+            angle, radius = rng.uniform(-math.pi, math.pi), rng.uniform(nearest, near.distance_m + reach)
             return np.array([x + radius * math.cos(angle), y + radius * math.sin(angle)])
 
         def along(rng: np.random.Generator) -> Array:

@@ -300,13 +300,13 @@ def part_rests(task: TaskSpec, initial: StateRecord, goal: Condition, *, turns: 
         turns: Whether it turns and does not slide.
     """
     entity, joint = task.objects["target"].entity, str(task.arguments["joint"])
-    name, most = ("part_speed_rad_s", SPIN_RAD_S) if turns else ("drawer_speed_m_s", SPEED_M_S)
+    name, limit = ("part_speed_rad_s", SPIN_RAD_S) if turns else ("drawer_speed_m_s", SPEED_M_S)
     return (
         goal,
         Condition(name="others_stayed", measure=_others_moved(entity, joint, initial), most=OTHERS_M,
                   reason="moved_other_drawer"),
         *let_go(entity),
-        Condition(name="at_rest", measure=_joint_speed(entity, joint, name), most=most),
+        Condition(name="at_rest", measure=_joint_speed(entity, joint, name), most=limit),
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ GOAL_YAWS = (0.0, math.pi / 2, -math.pi / 2, math.pi / 4, -math.pi / 4, math.pi)
 GRASPS_TRIED = 8
 PLACES = (0.0, 1.0, -1.0, 0.5, -0.5)
 """Places in a container's interior on each axis, as shares of the room that an object has there."""
-MOST_PLACES = 4
+MAX_PLACES = 4
 ABOVE_M = 0.05
 """Distance of an object's origin from the interior at which it still lies inside [m]."""
 
@@ -89,7 +89,7 @@ def free_places(scene: ExpertScene, target: str, container: str, region: Region,
     spots = [(x * room[0], y * room[1]) for x in PLACES for y in PLACES]
     gaps = {spot: min(math.dist(spot, other[:2]) - other[2] - radius for other in taken) for spot in spots}
     best = sorted((spot for spot in spots if gaps[spot] >= 0.0), key=lambda spot: -gaps[spot])
-    return [floor @ Pose(position=(float(x), float(y), 0.0)) for x, y in best[:MOST_PLACES]]
+    return [floor @ Pose(position=(float(x), float(y), 0.0)) for x, y in best[:MAX_PLACES]]
 
 
 def fits(model: ObjectModel, region: Region) -> bool:

@@ -28,7 +28,7 @@ from roboxim_core.registry import Registry
 from roboxim_tasks.motion import ExpertScene, Stage
 
 Stages = Callable[[ExpertScene], Iterable[tuple[Stage, ...]]]
-LEAST = 3
+MIN_TRIALS = 3
 """Least number of cheats, and of honest ways, per skill."""
 ALONE: Mapping[str, Any] = {"distractors": {"minimum": 0, "maximum": 0}}
 """Changes to a skill's own task in every trial, in addition to the removal of cameras."""
@@ -112,11 +112,11 @@ def missing_trials(skill: str) -> str:
     """Return which of the three cheats and three honest ways a skill lacks, or an empty text."""
     trials = trials_of(skill)
     lacks = [
-        f"{LEAST - count} more {kind}"
+        f"{MIN_TRIALS - count} more {kind}"
         for kind, count in (
             ("cheats (@cheat)", sum(not trial.honest for trial in trials)),
             ("honest ways (@honest)", sum(trial.honest for trial in trials)),
         )
-        if count < LEAST
+        if count < MIN_TRIALS
     ]
     return f"skill '{skill}' needs {' and '.join(lacks)} in roboxim_tasks.trials" if lacks else ""

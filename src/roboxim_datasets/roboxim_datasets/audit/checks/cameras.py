@@ -66,17 +66,17 @@ class FrozenCamera(AuditCheck):
                 )
 
 
-def _still(equal: Flags, least: int, moved: Values) -> Iterator[tuple[int, int]]:
+def _still(equal: Flags, minimum: int, moved: Values) -> Iterator[tuple[int, int]]:
     """Yield the first tick and the number of images of each run of equal images while the hand moves, longest first.
 
     Args:
         equal: Whether an image equals the one before, shape (T - 1,).
-        least: Fewest images of a run.
+        minimum: Fewest images of a run.
         moved: How far the hand moves between ticks [m], shape (T - 1,).
     """
     left = equal.copy()
     start, length = longest_run(left)
-    while length + 1 >= least:
+    while length + 1 >= minimum:
         if moved[start : start + length].sum() > MOVED_M:
             yield start, length + 1
         left[start : start + length] = False

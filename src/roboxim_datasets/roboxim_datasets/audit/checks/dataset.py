@@ -15,7 +15,7 @@ from roboxim_datasets.episode import Floats
 CONSTANT = 1e-8
 OUTLIER = 10.0
 SPIKE = 2.0
-LEAST_SPREAD = 0.01
+MIN_SPREAD = 0.01
 DECIMALS = 5
 
 
@@ -132,7 +132,7 @@ class Statistics(AuditCheck):
             if len(constant) and len(rows) > 1:
                 yield Finding(text=f"{name}: components {constant.tolist()} never change", severity=Severity.WARNING)
             low, high = np.quantile(rows, [0.025, 0.975], axis=0)
-            spread = np.maximum(high - low, LEAST_SPREAD)
+            spread = np.maximum(high - low, MIN_SPREAD)
             for episode, values in episodes:
                 spikes = np.abs(values - _neighbours(values)) / spread
                 far = np.abs(values - mean) / np.where(deviation < CONSTANT, np.inf, deviation)

@@ -92,8 +92,8 @@ class Motion(AuditCheck):
             lengths = [np.linalg.norm(rows, axis=1) for rows in residuals]
             typical = float(np.median([np.quantile(values, 0.99) for values in lengths]))
             for seen, rows, values in zip(group, residuals, lengths, strict=True):
-                most = max(first.tolerance, 0.0 if seen.simulated else TYPICAL * typical)
-                yield from _of_one(seen, rows, values, most, weights)
+                tolerance = max(first.tolerance, 0.0 if seen.simulated else TYPICAL * typical)
+                yield from _of_one(seen, rows, values, tolerance, weights)
 
 
 def _limited(episode: AuditEpisode) -> Flags:

@@ -15,7 +15,7 @@ from roboxim_datasets.audit.checks.behaviour import movement
 from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Severity, Values
 from roboxim_datasets.episode import whole_id
 
-MOST_SHARED = 0.25
+MAX_SHARED = 0.25
 """Largest share of episodes whose task another episode has too, where scenes are drawn: beyond, they are not."""
 FEWEST = 4
 """Fewest other episodes of a run, or of a skill, by which an episode is judged."""
@@ -52,7 +52,7 @@ class RecordedTask(AuditCheck):
     threshold = (
         f"a skill that none of the {FEWEST} or more other episodes of its run has, while these share one; or a task "
         "that is, with all that was drawn for its scene, another episode's word for word, in a dataset where at most "
-        f"{100 * MOST_SHARED:.0f} % of the episodes share theirs. Of two with one task that one is named whose run has "
+        f"{100 * MAX_SHARED:.0f} % of the episodes share theirs. Of two with one task that one is named whose run has "
         "the skill nowhere else, or, in a run of several skills, which moves less like the others of this one; "
         "else both are a warning"
     )
@@ -98,7 +98,7 @@ class RecordedTask(AuditCheck):
         for seen in self._seen:
             groups[seen.task].append(seen)
         shared = [group for group in map(_of_recordings, groups.values()) if len(group) > 1]
-        if sum(map(len, shared)) > max(2, MOST_SHARED * len(self._seen)):
+        if sum(map(len, shared)) > max(2, MAX_SHARED * len(self._seen)):
             return
         for group in shared:
             rest = [seen for seen in group if seen.name not in strange]
@@ -136,7 +136,7 @@ def _strange_in_run(seen: Sequence[_Seen]) -> Iterator[tuple[_Seen, str]]:
         counts = Counter(one.skill for one in members)
         usual, count = counts.most_common(1)[0]
         rest = len(members) - count
-        if run and count >= FEWEST and 0 < rest <= MOST_SHARED * len(members) and _most_of_another(counts, usual) == 1:
+        if run and count >= FEWEST and 0 < rest <= MAX_SHARED * len(members) and _most_of_another(counts, usual) == 1:
             yield from ((one, usual) for one in members if one.skill != usual)
 
 

@@ -22,7 +22,7 @@ LENGTHENING = ("repeat", "drop", "splice")
 ROWS = ("shift", "swap", "scale", "sign", "permute", "splice", "repeat")
 """Operators on the rows of one key."""
 IMAGES = ("shift", "swap", "splice", "repeat")
-MOST_EDITS = 3
+MAX_EDITS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ def compose(episode: EditableEpisode, others: Sequence[Episode], rng: np.random.
     """
     before = EditableEpisode(**vars(episode))
     texts, keys, lost = [], [], (0.0, 0.0)
-    for _ in range(int(rng.integers(1, MOST_EDITS + 1))):
+    for _ in range(int(rng.integers(1, MAX_EDITS + 1))):
         other = others[int(rng.integers(len(others)))]
         key, last = str(rng.choice(_keys(episode))), EditableEpisode(**vars(episode))
         if key in ("instruction", "task"):

@@ -105,13 +105,13 @@ def _physics(held_out: Demand, other: Demand) -> bool:
 
 def _distractors(held_out: Demand, other: Demand) -> bool:
     """Numbers exclude each other, one always has a model that the other never has, or no drawn model fits both."""
-    (least, largest_allowed), (fewest, largest) = held_out.distractors, other.distractors
-    if largest < least or fewest > largest_allowed:
+    (fewest_allowed, largest_allowed), (fewest, largest) = held_out.distractors, other.distractors
+    if largest < fewest_allowed or fewest > largest_allowed:
         return True
     for one, another in ((held_out, other), (other, held_out)):
         if not {*one.always} <= {*another.always, *another.others}:
             return True
-    if Counter(held_out.always) != Counter(other.always) or max(least, fewest) <= len(held_out.always):
+    if Counter(held_out.always) != Counter(other.always) or max(fewest_allowed, fewest) <= len(held_out.always):
         return False
     return all(
         _any_apart(held_out.others[model], other.others[model])

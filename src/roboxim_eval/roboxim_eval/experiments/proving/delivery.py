@@ -284,12 +284,12 @@ def hidden_distractors(shown: Shown) -> int:
     return sum(shown.pixels.get(name, math.inf) < VISIBLE_PX for name in shown.others)
 
 
-def _looks(shown: Shown, names: Sequence[str], *, least: float = VISIBLE_PX) -> Iterator[str]:
+def _looks(shown: Shown, names: Sequence[str], *, min_px: float = VISIBLE_PX) -> Iterator[str]:
     """Yield objects with too few visible pixels, or with another colour than their models."""
     for name in sorted(names):
         pixels, difference = shown.pixels.get(name, math.inf), shown.colors.get(name, 0.0)
-        if not pixels >= least:
-            yield f"the {name} has {pixels:.0f} visible pixels in the best fixed camera, at least {least:g} expected"
+        if not pixels >= min_px:
+            yield f"the {name} has {pixels:.0f} visible pixels in the best fixed camera, at least {min_px:g} expected"
         if name != "table" and not difference <= COLOR_DIFFERENCE:
             yield (
                 f"the {name}'s median colour is {difference:.1f} (CIEDE2000) from that of its model, at most "
@@ -312,10 +312,10 @@ def _physics(demand: Demand, shown: Shown) -> Iterator[str]:
 
 
 def _distractors(demand: Demand, shown: Shown) -> Iterator[str]:
-    least, most = demand.distractors
+    fewest, largest = demand.distractors
     lying = {name: model for name, model in shown.others.items() if demand.furniture.get(name) != model}
-    if not least <= len(lying) <= most:
-        expected = f"{least}" if least == most else f"{least} to {most}"
+    if not fewest <= len(lying) <= largest:
+        expected = f"{fewest}" if fewest == largest else f"{fewest} to {largest}"
         yield f"{len(lying)} distractors lie on the table, {expected} expected"
     missing = list(demand.always)
     for name, model in lying.items():
@@ -331,7 +331,7 @@ def _distractors(demand: Demand, shown: Shown) -> Iterator[str]:
                     yield f"{kind} of {name} is {_text(modifiers.get(kind, ''))}, the cell demands {allowed}"
     for model in missing:
         yield f"no distractor is a {model}, which every scene has"
-    yield from _looks(shown, list(lying), least=0)  # see `hidden_distractors`
+    yield from _looks(shown, list(lying), min_px=0)  # see `hidden_distractors`
 
 
 def _area(demand: Demand, shown: Shown) -> Iterator[str]:

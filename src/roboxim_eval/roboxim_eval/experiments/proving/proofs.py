@@ -1,6 +1,6 @@
 """Proofs that an experiment was delivered: tallies of checks over the bags of its demonstrations and evaluations.
 
-An episode that fails a check does not belong to its cell, so it does not count. If more than `MOST_FAULTS` of the
+An episode that fails a check does not belong to its cell, so it does not count. If more than `MAX_FAULTS` of the
 episodes of a stage fail, the experiment stops. Training data are refused at the first fault: a held-out episode in it
 cannot be taken out of the weights.
 """
@@ -38,7 +38,7 @@ PROOF_OF_TRAINING = "trained_on"
 PICTURES = "pictures"
 """Count of the episodes whose pictures were compared with drawings; other episodes are checked by the bag's statements
 only."""
-MOST_FAULTS = 0.01
+MAX_FAULTS = 0.01
 """Share of faulty episodes above which a run stops."""
 NAMED = 5
 """Number of faults that a message names."""
@@ -90,7 +90,7 @@ class Tally:
         """Bags that fail a check."""
         return frozenset(fault.bag for fault in self.faults)
 
-    def refusal(self, max_faults: float = MOST_FAULTS) -> str:
+    def refusal(self, max_faults: float = MAX_FAULTS) -> str:
         """Return why a run must stop, naming bags and figures; empty: it may go on.
 
         Args:

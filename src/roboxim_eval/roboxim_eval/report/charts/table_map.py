@@ -23,11 +23,11 @@ LEFT, BELOW, EDGE = 46.0, 40.0, 8.0
 """Space for the axes, and at the other two edges [px]."""
 MARGIN_M = 0.06
 """Margin around the shown part [m]."""
-LEAST_WIDTH_M = 0.8
+MIN_WIDTH_M = 0.8
 """Smallest width of the shown part [m], without margins."""
-MOST_DOTS = 400
+MAX_DOTS = 400
 """Number of episodes above which the single ones are not drawn."""
-LEAST = 3
+MIN_EPISODES = 3
 """Number of episodes below which a square has no colour."""
 
 
@@ -105,7 +105,7 @@ class View:
         y = [grid.low_y, grid.low_y + grid.columns * grid.side]
         if place is not None:
             x, y = [*x, place.robot[0] - 0.04], [*y, place.robot[1] - 0.1, place.robot[1] + 0.1]
-        wider = max(0.0, LEAST_WIDTH_M - (max(y) - min(y))) / 2 + MARGIN_M
+        wider = max(0.0, MIN_WIDTH_M - (max(y) - min(y))) / 2 + MARGIN_M
         return View(low_x=min(x) - MARGIN_M, high_x=max(x) + MARGIN_M, low_y=min(y) - wider, high_y=max(y) + wider)
 
     @property
@@ -139,7 +139,7 @@ def table_maps(starts: Mapping[str, Sequence[Start]], place: Place | None = None
         "pictures": {arm: table_map(mine, grid, place) for arm, mine in starts.items()},
         "square_cm": 100 * grid.side,
         "keys": [(text, mark_key(success)) for text, success in (("success", True), ("no success", False))]
-        if any(len(mine) <= MOST_DOTS for mine in starts.values()) else [],
+        if any(len(mine) <= MAX_DOTS for mine in starts.values()) else [],
     }  # fmt: skip
 
 
@@ -162,7 +162,7 @@ def table_map(starts: Sequence[Start], grid: Grid | None = None, place: Place | 
             element("circle", cx=x, cy=y, r=11.0, class_="robot"),
             element("text", "robot", x=x + 16, y=y + 4, class_="axis"),
         ]
-    if len(starts) <= MOST_DOTS:
+    if len(starts) <= MAX_DOTS:
         parts += [mark(view.across(s.y), view.down(s.x), success=s.success, number=s.number) for s in starts]
     label = f"Success by start position of {len(starts)} episodes, squares of {100 * grid.side:.0f} cm"
     width, height = view.size
@@ -254,7 +254,7 @@ def _side(wide: float, high: float, episodes: int) -> float:
 def _square(left: float, top: float, size: float, inside: Sequence[Start]) -> list[Markup]:
     solved = sum(start.success for start in inside)
     rate, number = solved / len(inside), f"{solved} of {len(inside)}"
-    shade = f"h{round(SHADES * rate)}" if len(inside) >= LEAST else "few"
+    shade = f"h{round(SHADES * rate)}" if len(inside) >= MIN_EPISODES else "few"
     title = element("title", f"{number} succeeded")
     parts = [element("rect", [title], x=left, y=top, width=size, height=size, class_=f"square {shade}")]
     if size >= 44:

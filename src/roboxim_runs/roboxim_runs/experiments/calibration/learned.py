@@ -12,11 +12,11 @@ from typing import Any
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_eval.experiments import Design, Rates, SideBySide
-from roboxim_eval.experiments.cost import LEAST_LEARNING_STEPS, LEAST_START_S
+from roboxim_eval.experiments.cost import MIN_LEARNING_STEPS, MIN_START_S
 from roboxim_runs.experiments.calibration.measuring import episode_s, rollout_times
 from roboxim_runs.storage.folder import RunFolder
 
-LEAST_EPISODES, LEAST_STEPS = 20, LEAST_LEARNING_STEPS
+MIN_EPISODES, MIN_STEPS = 20, MIN_LEARNING_STEPS
 """Fewest demonstrations and rollouts, and fewest training steps, of a run whose rates are stored."""
 NEARLY = 0.05
 """Largest part by which the mean number of trainings at a time may differ from the number whose rate it shows."""
@@ -46,7 +46,7 @@ def rates_of_run(name: str, scale: str, out: Path, design: Design, workers: int,
     entries = [entry.data for entry in ResultsLog(out / "stages.jsonl").read()]
     wall = {entry["stage"]: float(entry["wall_s"]) for entry in entries}
     of = {kind: [stage for stage in wall if stage.startswith(f"{kind}/")] for kind in ("generate", "train", "evaluate")}
-    small = design.episodes < LEAST_EPISODES or design.rollouts < LEAST_EPISODES or design.steps < LEAST_STEPS
+    small = design.episodes < MIN_EPISODES or design.rollouts < MIN_EPISODES or design.steps < MIN_STEPS
     if small or not all(of.values()) or any(entry.get("continued") for entry in entries):
         return None
     demos = [result for stage in of["generate"] for result in RunFolder(out / stage).results()]
@@ -78,13 +78,13 @@ def rates_of_run(name: str, scale: str, out: Path, design: Design, workers: int,
         source=source if alone else f"{source}{ALONE}{before.source.rpartition(ALONE)[2]}",
         workers=workers,
         demonstration_s=demonstration_s,
-        start_s=max(LEAST_START_S, sum(wall[s] for s in of["generate"]) / len(of["generate"])
+        start_s=max(MIN_START_S, sum(wall[s] for s in of["generate"]) / len(of["generate"])
                     - demonstration_s * len(demos) / len(of["generate"])),
         steps_per_s=alone.steps_per_s if alone else before.steps_per_s,
         success_s=_mean_s(successes, workers) or expected[0],
         failure_s=_mean_s(failures, workers) or expected[1],
         succeeded=len(successes) / len(rollouts),
-        evaluate_start_s=max(LEAST_START_S, (evaluating_s - rollout_s * len(rollouts)) / len(of["evaluate"])),
+        evaluate_start_s=max(MIN_START_S, (evaluating_s - rollout_s * len(rollouts)) / len(of["evaluate"])),
         proof_s=proof_s if proof_s > 0 else before.proof_s,
     ).learned(*trained.values())  # fmt: skip
 
@@ -125,7 +125,7 @@ def _training_rates(
         start_s = rate.start_s if rate else before.train_start_s  # no better one is known
         steps = sum(steps for _, steps, _ in ones)
         took = [(wall_s - starts * start_s) / steps for wall_s, steps, starts in ones if wall_s > starts * start_s]
-        if steps < LEAST_STEPS or not took:
+        if steps < MIN_STEPS or not took:
             continue
         steps_per_s = 1 / median(took)
         alone = steps_per_s if number == 1 else alone

@@ -25,7 +25,7 @@ from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.plain_data.documents import read_text
 from roboxim_eval.experiments import Rates, SideBySide
-from roboxim_eval.experiments.cost import LEAST_START_S
+from roboxim_eval.experiments.cost import MIN_START_S
 from roboxim_runs.datasets.export import ExportConfig, ExportReport, export_dataset
 from roboxim_runs.episodes.generation import GenerationConfig, GenerationResult, generate
 from roboxim_runs.evaluation.report import report_of
@@ -167,7 +167,7 @@ def calibrate(
         demonstration_s = episode_s(demos.results, config.workers) * len(demos.results) / kept
         rollout_s = _rollouts_s(rollouts.results, config.workers) / config.rollouts
         success_s, failure_s = rollout_times(demos.kept, rollouts.results, config.workers)
-        evaluate_start_s = max(LEAST_START_S, evaluate_s - rollout_s * config.rollouts)
+        evaluate_start_s = max(MIN_START_S, evaluate_s - rollout_s * config.rollouts)
         return Rates(
             experiment=config.mix.stem,
             machine=f"{platform.machine()}, {os.cpu_count()} cores",
@@ -186,11 +186,9 @@ def calibrate(
             failure_s=failure_s,
             rollout_bytes=_size(rollouts.first.folder / "episodes") / config.rollouts,
             proof_s=proof_s,
-            start_s=max(LEAST_START_S, generate_s - demonstration_s * kept),
+            start_s=max(MIN_START_S, generate_s - demonstration_s * kept),
             train_start_s=_training_start_s(folder, config.steps) + watch.compilation_s,
-            first_evaluate_s=max(
-                LEAST_START_S, first_s - evaluate_start_s - _rollouts_s(first.results, config.workers)
-            ),
+            first_evaluate_s=max(MIN_START_S, first_s - evaluate_start_s - _rollouts_s(first.results, config.workers)),
             evaluate_start_s=evaluate_start_s,
             proof_start_s=proof_start_s,
             film_s=page_s / config.rollouts,
@@ -318,7 +316,7 @@ def _proof_times(
     jobs = [BagJob(bag=bag, mix="all") for bag in bags]
     _, all_s = _timed(lambda: list(reading.read("proving", jobs, {"all": mix_json})))
     proof_s = one_s / len(bags) / config.workers
-    return proof_s, max(LEAST_START_S, all_s - proof_s * len(jobs))
+    return proof_s, max(MIN_START_S, all_s - proof_s * len(jobs))
 
 
 def _timed(call: Callable[[], Any]) -> tuple[Any, float]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from roboxim_bringup.process import describe_exit
 from roboxim_core.errors import RoboximError
 from roboxim_eval.experiments import SideBySide
-from roboxim_eval.experiments.cost import LEAST_START_S
+from roboxim_eval.experiments.cost import MIN_START_S
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
 from roboxim_runs.training.commands import TrainerReports, started
@@ -65,7 +65,7 @@ def measure_side_by_side(
     rate = common_rate([run.seen for run in runs])
     start_s = sum(run.seen[0][0] - run.began - run.seen[0][1] / rate for run in runs) / len(runs)
     return SideBySide(
-        trainings=trainings, steps_per_s=rate, start_s=max(LEAST_START_S, start_s),
+        trainings=trainings, steps_per_s=rate, start_s=max(MIN_START_S, start_s),
         measured=datetime.now().isoformat(timespec="minutes"), source=source,
     )  # fmt: skip
 

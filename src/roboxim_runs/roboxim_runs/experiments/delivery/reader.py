@@ -43,7 +43,7 @@ WINDOW = 0.15
 """Half the side of the window around the tool, as a fraction of the picture's longer side."""
 ALIKE = 0.5
 """Least correlation of two windows that show the same."""
-LEAST_PIXELS = 12
+MIN_PIXELS = 12
 """Fewest pixels of a surface from which its median colour is taken."""
 HAND = "gripper"
 """Parent of a camera on the hand of any robot, in a camera's file."""
@@ -330,7 +330,7 @@ def _colors(
         for camera in cameras:
             segmentation = drawn[camera.name].segmentation
             mask = np.zeros(0) if segmentation is None else segmentation == number
-            if np.count_nonzero(mask) >= LEAST_PIXELS:
+            if np.count_nonzero(mask) >= MIN_PIXELS:
                 first, second = median_lab(pictures[camera.name][mask]), median_lab(drawn[camera.name].rgb[mask])
                 found[name] = min(found.get(name, math.inf), float(color_difference(first, second)))
     return found
