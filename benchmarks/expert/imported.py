@@ -38,7 +38,7 @@ def main() -> None:
         kept = out / "rows" / f"{mesh.parent.name}-{mesh.stem}-{resets}.json"
         if not kept.is_file():
             kept.parent.mkdir(parents=True, exist_ok=True)
-            kept.write_text(json.dumps(row(mesh, out, resets)))
+            kept.write_text(json.dumps(row(mesh, out, resets, options.gripper, options.robot)))
         rows.append(json.loads(kept.read_text()))
         bench.row(**rows[-1])
     imported = [one for one in rows if one["imported"]]
@@ -57,6 +57,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--shapes", type=int, default=45, metavar="N", help="random shapes (default: 45)")
     parser.add_argument("--seed", type=int, default=1, help="seed of their choice (default: 1)")
     parser.add_argument("--meshes", type=Path, nargs="*", default=[], metavar="DIR", help="folders with more meshes")
+    parser.add_argument("--gripper", default="franka_hand", help="gripper that shall grasp them (default: franka_hand)")
+    parser.add_argument("--robot", default="", help="arm that has it (default: the scene's, which has the Franka hand)")
     parser.add_argument("--resets", type=int, default=20, metavar="N", help="resets of each object (default: 20)")
 
 
@@ -68,13 +70,13 @@ def chosen(shapes: int, seed: int, folders: list[Path]) -> list[Path]:
     return [*(all_shapes[k] for k in sorted(drawn)), *others]
 
 
-def row(mesh: Path, out: Path, resets: int) -> dict[str, Any]:
+def row(mesh: Path, out: Path, resets: int, gripper: str, robot: str) -> dict[str, Any]:
     """Import a mesh and pick the object up; return the figures."""
-    from roboxim_runs.assets.importing import import_mesh
+    from roboxim_runs.assets.importing import ImportOptions, import_mesh
 
     found: dict[str, Any] = {"mesh": f"{mesh.parent.name}/{mesh.name}", "imported": 0, "grasps": 0, "picked_up": 0}
     try:
-        made = import_mesh(mesh, out / "objects")
+        made = import_mesh(mesh, out / "objects", ImportOptions(gripper=gripper))
     except RoboximError as error:
         return found | {"resets": 0, "why": str(error)[:120]}
     model = yaml.safe_load(made.file.read_text())
@@ -82,12 +84,12 @@ def row(mesh: Path, out: Path, resets: int) -> dict[str, Any]:
     found |= {"imported": 1, "grasps": grasps, "resets": resets if grasps else 0, "why": ""}
     if not grasps:
         return found | {"why": next(line for line in made.report if line.startswith("grasps:"))[:120]}
-    reasons = picks(made.file.stem, resets)
+    reasons = picks(made.file.stem, resets, robot)
     failures = [reason for reason in reasons if reason]
     return found | {"picked_up": resets - len(failures), "why": "; ".join(sorted(set(failures)))[:120]}
 
 
-def picks(object_id: str, resets: int) -> list[str]:
+def picks(object_id: str, resets: int, robot: str) -> list[str]:
     """Let the expert pick up an object; return why each try failed, empty for a success."""
     from benchmarks.expert._expert_run import CellRunner
 
@@ -96,7 +98,7 @@ def picks(object_id: str, resets: int) -> list[str]:
 
     change = {
         "objects": {"target": {"models": [object_id]}}, "distractors": {"minimum": 0, "maximum": 0},
-        "reset": {"cameras": {"names": ["workspace"]}},
+        "reset": {"cameras": {"names": ["workspace"]}}, "robot": robot,
     }  # fmt: skip
     config = yaml.safe_dump(merged(yaml.safe_load(task_text(skill="pick_up")), change))
     runner = CellRunner()  # anew: its library has read what was there before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,15 @@ from click.testing import CliRunner
 from roboxim_cli.main import group
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.check import check_object
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Pose
+from roboxim_runs.assets.floating_gripper import floating
+from roboxim_runs.assets.floating_hand import try_grasp
 from roboxim_runs.assets.grasp_search import antipodal_pairs
 from roboxim_runs.assets.importing import ImportOptions, guessed_unit, import_mesh, object_id_of
 from roboxim_runs.assets.shape_affordances import regions_of
 from roboxim_runs.assets.solids import EFFORTS, convex_parts, repaired
+from roboxim_sim.bullet import BulletClient
 
 pytest.importorskip("coacd")
 
@@ -134,3 +140,34 @@ def test_an_object_that_hides_a_built_in_one_says_so(tmp_path):
     file = exported(trimesh.creation.box((0.05, 0.05, 0.05)), tmp_path / "cube.stl")
     made = import_mesh(file, tmp_path / "objects", ImportOptions(grasps=1))
     assert made.report[0].startswith("name: it hides another object of the name 'cube'")
+
+
+@pytest.mark.thorough
+def test_grasps_are_sought_for_the_gripper_at_hand(tmp_path):
+    """A board of 75 mm is too wide for the Franka hand, which opens to 80 mm with 8 to spare, not for the 2F-85."""
+    board = exported(trimesh.creation.box((0.075, 0.12, 0.03)), tmp_path / "board.obj")
+    made = {
+        name: import_mesh(board, tmp_path / name, ImportOptions(unit="m", gripper=name, grasps=2))
+        for name in ("franka_hand", "robotiq_2f85")
+    }
+    assert not made["franka_hand"].graspable
+    assert any("within 80 mm" in line for line in made["franka_hand"].report)
+    assert made["robotiq_2f85"].graspable
+    assert any("floating robotiq 2f85" in line for line in made["robotiq_2f85"].report)
+    with pytest.raises(ConfigError, match="robotiq_2f85"):
+        import_mesh(board, tmp_path / "none", ImportOptions(gripper="robotiq_2f58"))
+
+
+def test_a_floating_gripper_lifts_what_it_grasps_and_tells_what_is_in_its_way():
+    library, client = ModelLibrary(), BulletClient()
+    cube = library.object("cube")
+    top = cube.grasps[0]
+    shifted = replace(top, pose=Pose(position=(0.0, 0.045, 0.0), quat_xyzw=top.pose.quat_xyzw))
+    beside = replace(top, pose=Pose(position=(0.0, 0.2, 0.1), quat_xyzw=top.pose.quat_xyzw))
+    try:
+        for name in ("franka_hand", "robotiq_2f85"):
+            assert try_grasp(client, cube, top, floating(name)) == ""
+            assert "is inside the object" in try_grasp(client, cube, shifted, floating(name))
+            assert "0.000 m only" in try_grasp(client, cube, beside, floating(name))
+    finally:
+        client.disconnect()

@@ -112,6 +112,9 @@ def check(targets: tuple[str, ...]) -> None:
 @click.option("--up", default="z", show_default=True, type=click.Choice(["z", "y"]), help="Axis that points up.")
 @click.option("--mass", type=click.FloatRange(0, 20, min_open=True), metavar="KG", help="Mass; default: guessed.")
 @click.option("--noun", default="", help="Noun in instructions; default: the file's name.")
+@click.option(
+    "--gripper", type=Named("gripper"), default="franka_hand", show_default=True, help="Gripper that shall grasp it."
+)
 @click.option("--thorough", is_flag=True, help="Cut into finer convex parts: minutes a mesh instead of seconds.")
 @click.option("--again", is_flag=True, help="Import also what is already in the folder.")
 def import_(
@@ -121,6 +124,7 @@ def import_(
     up: str,
     mass: float | None,
     noun: str,
+    gripper: str,
     thorough: bool,
     again: bool,
 ) -> None:
@@ -130,7 +134,7 @@ def import_(
     roboxim assets import teapot.glb
     roboxim assets import scans/*.obj --unit mm --up y --out my_things
 
-    Each grasp has lifted the object in a floating hand. Guesses are printed and written into the YAML file.
+    Each grasp has lifted the object in a floating gripper. Guesses are printed and written into the YAML file.
     """
     from roboxim_cli.progress import ProgressLine
     from roboxim_core.errors import ConfigError, ErrorCode, RoboximError
@@ -138,7 +142,9 @@ def import_(
 
     if noun and len(meshes) > 1:
         raise ConfigError("--noun names one object: give one mesh")
-    options = ImportOptions(unit=unit, up=up, mass_kg=mass or 0.0, name=noun, effort="thorough" if thorough else "fast")
+    options = ImportOptions(
+        unit=unit, up=up, mass_kg=mass or 0.0, name=noun, gripper=gripper, effort="thorough" if thorough else "fast"
+    )
     names, failed = [], 0
     with ProgressLine("importing", len(meshes), unit="meshes") as line:
         for number, mesh in enumerate(meshes):

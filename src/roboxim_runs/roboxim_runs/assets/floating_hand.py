@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 import pybullet
@@ -126,13 +128,36 @@ class FloatingHand:
             self.client.stepSimulation()
 
 
-def try_grasp(client: BulletClient, model: ObjectModel, grasp: GraspAnnotation) -> str:
-    """Close a floating hand on an object that stands on a table, and lift it.
+class Floating(Protocol):
+    """A gripper that moves without an arm."""
+
+    @property
+    def id(self) -> int:
+        """Its body."""
+        ...
+
+    def inside(self, body: int) -> str:
+        """Return the part of the gripper that is inside a body; empty: none is."""
+        ...
+
+    def run(self, seconds: float, opening_m: float, way: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+        """Move along a straight line while the fingers go to an opening."""
+        ...
+
+
+def try_grasp(
+    client: BulletClient,
+    model: ObjectModel,
+    grasp: GraspAnnotation,
+    make: Callable[[BulletClient, Pose, float], Floating] = FloatingHand,
+) -> str:
+    """Close a floating gripper on an object that stands on a table, and lift it.
 
     Args:
         client: PyBullet client; its world is emptied first.
         model: The object.
         grasp: The grasp.
+        make: Makes the gripper at a pose of its tool centre point with an opening; the Franka hand by default.
 
     Returns:
         Why the grasp fails: the open hand is inside the object or the table, or the object is not lifted, turns or
@@ -143,7 +168,7 @@ def try_grasp(client: BulletClient, model: ObjectModel, grasp: GraspAnnotation) 
     pose = Pose(position=(*PLACE, model.rest_height))
     held = bodies.ObjectBody(client, model, EntitySpec(name="it", model=model.id, pose=pose))
     links = object_link_poses(model, {})
-    hand = FloatingHand(client, pose @ links[grasp.link or model.links[0].name] @ grasp.pose, grasp.opening_m)
+    hand = make(client, pose @ links[grasp.link or model.links[0].name] @ grasp.pose, grasp.opening_m)
     table = next(body for body, what in names.items() if what == "table")
     for body, other in ((held.id, "object"), (table, "table")):
         if part := hand.inside(body):

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from roboxim_core.models.description import GraspAnnotation, ObjectModel
 from roboxim_core.poses import Array, Pose
-from roboxim_runs.assets.floating_hand import BLOCKED, TIP_BEYOND_TCP_M, try_grasp
+from roboxim_runs.assets.floating_hand import BLOCKED, TIP_BEYOND_TCP_M, Floating, FloatingHand, try_grasp
 from roboxim_runs.assets.solids import surface_points
 from roboxim_sim.bullet import BulletClient
 
@@ -63,6 +63,7 @@ def find_grasps(
     max_opening_m: float,
     enough: int,
     tries: int,
+    make: Callable[[BulletClient, Pose, float], Floating] = FloatingHand,
     on_try: Callable[[int], None] = lambda _: None,
 ) -> Search:
     """Find grasps of an object that stands on a table.
@@ -73,6 +74,7 @@ def find_grasps(
         max_opening_m: Opening of the gripper [m].
         enough: Number of proven grasps at which the search ends.
         tries: Most candidates that are tried.
+        make: Makes the floating gripper, see `try_grasp`.
         on_try: Called with the number of candidates tried so far.
     """
     pairs = antipodal_pairs(mesh, max_opening_m - SPARE_M)
@@ -89,7 +91,7 @@ def find_grasps(
             for room in ROOMS_M:
                 opening = min(max_opening_m, candidate.width_m + room)
                 grasp = replace(candidate, opening_m=round(opening, 4))
-                reason = try_grasp(client, model, grasp)
+                reason = try_grasp(client, model, grasp, make)
                 if not reason.startswith(BLOCKED):
                     break
             if not reason:

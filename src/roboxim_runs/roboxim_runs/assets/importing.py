@@ -23,10 +23,12 @@ from roboxim_core.models.modifiers import PALETTE
 from roboxim_core.models.object_config import ObjectConfig
 from roboxim_core.poses import Array, Pose
 from roboxim_runs.assets.check import DENSITY, UNITS, check, simplify, stability
+from roboxim_runs.assets.floating_gripper import FRANKA_HAND, floating
 from roboxim_runs.assets.grasp_search import Search, find_grasps
 from roboxim_runs.assets.resting import RestPose, rest_poses
 from roboxim_runs.assets.shape_affordances import regions_of
 from roboxim_runs.assets.solids import EFFORTS, convex_parts, placed, repaired, volume_of
+from roboxim_runs.robots.grippers import gripper
 
 TRIANGLES = 1500
 """Triangles of the visual; see `roboxim_core.models.check.MANY_TRIANGLES`."""
@@ -62,8 +64,8 @@ class ImportOptions:
     """Noun in instructions; else the file's name."""
     effort: str = "fast"
     """One of `solids.EFFORTS`."""
-    max_opening_m: float = 0.08
-    """Opening of the gripper that shall grasp it [m]."""
+    gripper: str = FRANKA_HAND
+    """Gripper of ``config/grippers`` that shall grasp it."""
     grasps: int = 8
     """Grasps at which the search ends."""
     tries: int = 40
@@ -138,6 +140,7 @@ class _Import:
     ) -> None:
         self.file, self.id, self.options, self._step = file, object_id, options, on_step
         self._base = self.folder = folder
+        self._opening_m = gripper(options.gripper).gripper.max_opening_m
         self.report: list[str] = []
         self._stages = 0
         self._colour = ""
@@ -156,8 +159,8 @@ class _Import:
         regions = regions_of(parts)
         self._step("searching grasps")
         search = find_grasps(
-            solid, model, max_opening_m=self.options.max_opening_m, enough=self.options.grasps,
-            tries=self.options.tries, on_try=lambda tried: self._step(f"searching grasps: {tried} tried"),
+            solid, model, max_opening_m=self._opening_m, enough=self.options.grasps, tries=self.options.tries,
+            make=floating(self.options.gripper), on_try=lambda tried: self._step(f"searching grasps: {tried} tried"),
         )  # fmt: skip
         self._tell(model, parts, search, regions)
         self._stage(scene, solid, parts, notes=self._notes(model, rests, regions, search))
@@ -287,10 +290,11 @@ class _Import:
             what = "a hollow" if region.kind == "interior" else "a flat top"
             self.report.append(f"shape: {what} of {1e3 * region.size[0]:.0f} mm across")
         if search.grasps:
-            self.report.append(f"grasps: {len(search.grasps)} hold of {search.tried} that a floating hand tried")
+            tool = self.options.gripper.replace("_", " ")
+            self.report.append(f"grasps: {len(search.grasps)} hold of {search.tried} that a floating {tool} tried")
         elif not search.pairs:
             self.report.append(
-                f"grasps: none; nowhere are two opposite sides within {1e3 * self.options.max_opening_m:.0f} mm, the "
+                f"grasps: none; nowhere are two opposite sides within {1e3 * self._opening_m:.0f} mm, the "
                 "gripper's opening"
             )
         else:
