@@ -198,6 +198,7 @@ def write_dataset(
                 where = f"{place.dataset.path}, {place.split}[{place.index}]"
                 with reading(where):
                     episode = place.read()
+                episode = replace(episode, fps=episode.fps or description.fps)
                 _require_new(episode.episode_id, seen, place.dataset)
                 if number >= skip[split]:
                     writer.add(split, _checked(episode, where))

@@ -57,6 +57,29 @@ def arrays(leaves: Mapping[str, Any]) -> dict[str, Array]:
     return found
 
 
+def is_one_step_ahead(demo: Any, path: str, found: Mapping[str, Array]) -> bool:
+    """Return whether an array such as ``next_obs/x`` has the rows of ``obs/x`` one step ahead.
+
+    Vectors are compared row by row, images in three rows.
+
+    Args:
+        demo: The episode's group.
+        path: Path of the array.
+        found: The episode's arrays, by path.
+    """
+    other = path.removeprefix("next_")
+    array, source = found[path], found.get(other)
+    if source is None or array.problem or source.problem:
+        return False
+    if (array.length, array.shape, array.dtype) != (source.length, source.shape, source.dtype):
+        return False
+    last = array.length - 1
+    if array.size <= _MAX_NUMBERS:
+        return np.array_equal(demo[path][:-1], demo[other][1:], equal_nan=array.dtype.startswith("float"))
+    rows = {0, last // 2, last - 1} if last else set()
+    return all(np.array_equal(demo[path][row], demo[other][row + 1]) for row in rows)
+
+
 def reason_not_read(path: str, array: Array) -> str:
     """Return why an array cannot be a part of an episode's steps; empty: it is an image or a vector."""
     if array.problem:

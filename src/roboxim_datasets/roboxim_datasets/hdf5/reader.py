@@ -20,7 +20,16 @@ from roboxim_datasets.dataset import Dataset, Description, Features
 from roboxim_datasets.episode import EXECUTED, Episode, ImageSize, Step, Wanted, solved
 from roboxim_datasets.files import file_in, has_file, reading
 from roboxim_datasets.hdf5.layout import ATTRIBUTE, INSTRUCTIONS, MASKS, STATISTICS_FILE, SUBTASKS, Hdf5Content
-from roboxim_datasets.hdf5.others import Array, arrays, changed, finite_rate, is_depth, layout_of, reason_not_read
+from roboxim_datasets.hdf5.others import (
+    Array,
+    arrays,
+    changed,
+    finite_rate,
+    is_depth,
+    is_one_step_ahead,
+    layout_of,
+    reason_not_read,
+)
 from roboxim_datasets.hdf5.tree import attributes, leaves, numbers, opened, problem_of, require_no_external_links
 from roboxim_datasets.hdf5.tree import text_of as _text
 
@@ -119,9 +128,16 @@ class Hdf5Dataset(Dataset):
                 _success(data[name], of) is not None for name, of in found.items() if name not in self._unread
             ),
             fps=finite_rate(self._environment.get("control_freq")),
-            robot=str(self._attributes.get("robot") or ""),
+            robot=str(self._attributes.get("robot") or "") or self._robosuite_arm,
         )
         return leaves(data[first])
+
+    @property
+    def _robosuite_arm(self) -> str:
+        """Name of the only arm of robosuite's environment; empty: none is stated, or several are."""
+        robots = self._environment.get("robots")
+        named = robots[0] if isinstance(robots, list) and len(robots) == 1 else robots
+        return printable(named, 40) if isinstance(named, str) else ""
 
     @property
     def _environment(self) -> dict[str, Any]:
@@ -382,8 +398,11 @@ class Hdf5Dataset(Dataset):
                 account.reads("key", path, array.length)
             elif path == "dones" and own:
                 account.implies("key", path, _REPEATED[path], array.length)
-            elif path.startswith("next_") and path.removeprefix("next_") in found:
+            elif own and path.startswith("next_") and path.removeprefix("next_") in found:
                 account.implies("key", path, "the observations one step ahead", array.length)
+            elif path.startswith("next_") and is_one_step_ahead(demo, path, found):
+                account.implies("key", path, "the observations one step ahead", array.length - 1)
+                account.leaves_out("key", path, "the observation after the last action", 1)
             else:
                 why = reason_not_read(path, array) or (
                     self._why_no_depth(array) if is_depth(path, array) else f"most episodes have no such '{last}'"

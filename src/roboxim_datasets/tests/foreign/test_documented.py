@@ -134,6 +134,13 @@ def test_a_rate_is_read_stated_or_refused(tmp_path: Path) -> None:
     assert dataset.description.fps == 20
     with pytest.raises(RoboximError, match="20 steps per second, not 7; leave --fps out"):
         write_dataset(plan_of(dataset), tmp_path / "b", "rlds", how="convert", fps=7)
+    with h5py.File(tmp_path / "a" / "data.hdf5", "r+") as file:
+        del file["data"].attrs["env_args"]
+    unstated = open_dataset(tmp_path / "a")
+    assert unstated.description.fps == 0
+    for format in ("rlds", "hdf5"):
+        made = write_dataset(plan_of(unstated), tmp_path / format, format, how="convert", fps=7)
+        assert open_dataset(made.path).description.fps == 7, f"{format} keeps the rate that the caller states"
 
 
 def _rewritten(folder: Path, change: Callable[[dict[str, object]], dict[str, object]]) -> None:

@@ -78,6 +78,13 @@ def _mask_of_some(data: Any) -> None:
     del data.parent["mask/train"]
 
 
+def _next_observations(data: Any, *, apart: float = 0.0) -> None:
+    for demo in data.values():
+        for name in list(demo["obs"]):
+            values = demo["obs"][name][()]
+            demo[f"next_obs/{name}"] = np.concatenate([values[1:], values[:1]]) + np.array(apart, values.dtype)
+
+
 HDF5_CASES: dict[str, tuple[Callable[[Any], None], tuple[str, ...]]] = {
     "nested": (_nested, ("datagen_info",)),
     "no actions": (lambda data: data["demo_2"].__delitem__("actions"), ("demo_2", "it has no 'actions'")),
@@ -86,6 +93,15 @@ HDF5_CASES: dict[str, tuple[Callable[[Any], None], tuple[str, ...]]] = {
     "null arguments": (lambda data: _attributes(data, None), (f"{EPISODES} episodes",)),
     "mask of some": (_mask_of_some, (f"{EPISODES} episodes",)),
     "one number": (lambda data: None, ("gripper",)),
+    "next observations": (
+        _next_observations,
+        (f"{EPISODES} episodes", "next_obs/eef_pos", "the observation after the last action"),
+    ),
+    "other next observations": (
+        lambda data: _next_observations(data, apart=3.0),
+        (f"{EPISODES} episodes", f"next_obs/eef_pos, {EPISODES * STEPS} frames"),
+    ),
+    "arm": (lambda data: _attributes(data, {"robots": ["Panda"]}), (f"{EPISODES} episodes", "robot     Panda")),
     "camera missing": (lambda data: data["demo_1"]["obs"].__delitem__("agentview_image"), ("demo_1", "lacks")),
 }
 """Name to the edit of a file and to words that must be said."""
