@@ -20,7 +20,15 @@ THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_
 """Environment variables with the number of threads of NumPy and OpenCV; a child gets 1 unless they are set."""
 
 
-__all__ = ["clean_environment", "describe_exit", "die_with_parent", "keep_freed_memory", "spawn", "stop", "tell_ready"]
+__all__ = [
+    "clean_environment",
+    "describe_exit",
+    "die_with_parent",
+    "keep_freed_memory",
+    "spawn",
+    "stop",
+    "report_ready",
+]
 
 
 def die_with_parent(parent: int) -> None:
@@ -96,7 +104,7 @@ def spawn(
     )
 
 
-def tell_ready() -> None:
+def report_ready() -> None:
     """Signal to the parent that this process has started completely; do nothing if the parent does not wait for it."""
     pipe = os.environ.pop("ROBOXIM_READY", None)
     if pipe is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-from roboxim_bringup.process import die_with_parent, tell_ready
+from roboxim_bringup.process import die_with_parent, report_ready
 
 
 def main() -> int:
@@ -25,7 +25,7 @@ def main() -> int:
     try:
         with NodeHost() as host:
             start_graph(host, **vars(config))
-            tell_ready()
+            report_ready()
             wait_for_stop(lambda: not host.alive())
             if not host.alive():
                 raise RoboximError(f"node {', '.join(host.dead())} has died; see the traceback above")

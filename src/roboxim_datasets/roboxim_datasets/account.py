@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 Kind = Literal["key", "metadata", "episode", "row", "task", "split", "rate", "statistics", "file"]
-Fate = Literal["read", "implied", "left out"]
+Treatment = Literal["read", "implied", "left out"]
 
 UNITS: dict[Kind, str] = {"key": "frames", "metadata": "episodes", "row": "rows"}
 """Kind of a part to what its number counts; a part of another kind is counted once."""
@@ -33,7 +33,7 @@ class Part:
     """Its name in the dataset, e.g. ``obs/gripper``."""
     count: int
     """How much of it: frames of a key, episodes with a metadata key, rows; 1 of another kind."""
-    fate: Fate
+    treatment: Treatment
     """What became of it."""
     why: str = ""
     """Why it is left out or implied, or how what was read differs from what is there; empty: it was read as it is."""
@@ -51,7 +51,7 @@ class Account:
     def __init__(self) -> None:
         """Start with nothing."""
         self._held: dict[tuple[Kind, str], int] = defaultdict(int)
-        self._said: dict[tuple[Kind, str], dict[tuple[Fate, str], int]] = defaultdict(lambda: defaultdict(int))
+        self._noted: dict[tuple[Kind, str], dict[tuple[Treatment, str], int]] = defaultdict(lambda: defaultdict(int))
 
     def holds(self, kind: Kind, name: str, count: int = 1) -> None:
         """Note that the files hold a part.
@@ -76,47 +76,48 @@ class Account:
             count: How much of it; None: all that is not accounted for yet.
             changed: How what is read differs, e.g. ``float64, read as float32``.
         """
-        self._say(kind, name, "read", changed, count)
+        self._note(kind, name, "read", changed, count)
 
     def implies(self, kind: Kind, name: str, why: str, count: int | None = None) -> None:
         """Note that a part follows from what is read, so that nothing is lost without it."""
-        self._say(kind, name, "implied", why, count)
+        self._note(kind, name, "implied", why, count)
 
     def leaves_out(self, kind: Kind, name: str, why: str, count: int | None = None) -> None:
         """Note that a part is not read, and why."""
-        self._say(kind, name, "left out", why, count)
+        self._note(kind, name, "left out", why, count)
 
-    def _say(self, kind: Kind, name: str, fate: Fate, why: str, count: int | None) -> None:
+    def _note(self, kind: Kind, name: str, treatment: Treatment, why: str, count: int | None) -> None:
         left = self._left(kind, name)
         number = left if count is None else min(count, left)
         if number > 0:
-            self._said[kind, name][fate, why] += number
+            self._noted[kind, name][treatment, why] += number
 
     def _left(self, kind: Kind, name: str) -> int:
-        return self._held.get((kind, name), 0) - sum(self._said.get((kind, name), {}).values())
+        return self._held.get((kind, name), 0) - sum(self._noted.get((kind, name), {}).values())
 
     @property
     def parts(self) -> list[Part]:
         """Everything that the files hold, each part with what became of it."""
         found = []
         for (kind, name), held in self._held.items():
-            named = dict(self._said.get((kind, name), {}))
+            named = dict(self._noted.get((kind, name), {}))
             if (left := held - sum(named.values())) > 0:
                 named["left out", UNKNOWN] = named.get(("left out", UNKNOWN), 0) + left
             found += [
-                Part(kind=kind, name=name, count=count, fate=fate, why=why) for (fate, why), count in named.items()
+                Part(kind=kind, name=name, count=count, treatment=treatment, why=why)
+                for (treatment, why), count in named.items()
             ]
         return found
 
     @property
     def left_out(self) -> list[Part]:
         """What was not read."""
-        return [part for part in self.parts if part.fate == "left out"]
+        return [part for part in self.parts if part.treatment == "left out"]
 
     @property
     def changed(self) -> list[Part]:
         """What was read, but is not what the files hold bit for bit."""
-        return [part for part in self.parts if part.fate == "read" and part.why]
+        return [part for part in self.parts if part.treatment == "read" and part.why]
 
 
 def to_json(parts: Sequence[Part]) -> list[dict[str, Any]]:

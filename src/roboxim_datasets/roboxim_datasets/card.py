@@ -102,8 +102,8 @@ def summary_json(dataset: Dataset, counts: Counts) -> dict[str, Any]:
         "vectors": {name: len(parts) for name, parts in dataset.features.vectors.items()},
         "signals": {name: len(parts) for name, parts in dataset.features.signals.items()},
         "action": list(dataset.features.action),
-        "read": to_json([part for part in account.parts if part.fate == "read"]),
-        "implied": to_json([part for part in account.parts if part.fate == "implied"]),
+        "read": to_json([part for part in account.parts if part.treatment == "read"]),
+        "implied": to_json([part for part in account.parts if part.treatment == "implied"]),
         "left_out": to_json(account.left_out),
     }
 
@@ -121,7 +121,7 @@ def _rows(dataset: Dataset, counts: Counts) -> dict[str, str]:
     cameras = ", ".join(f"{name} {size.width}x{size.height}" for name, size in features.cameras.items())
     kind = "lossless" if features.lossless else "encoded with loss"
     semantics = about.semantics
-    meaning = _unsaid(dataset)
+    meaning = _unstated(dataset)
     if semantics:
         meaning = f"{semantics.control}, {semantics.rotation}, gripper {semantics.gripper}"
     return {
@@ -149,7 +149,7 @@ def dead_action_components(dataset: Dataset) -> tuple[str, ...]:
     return dead_components(dataset.features.action, deviations)
 
 
-def _unsaid(dataset: Dataset) -> str:
+def _unstated(dataset: Dataset) -> str:
     named = (dataset.folder / "convention.yaml").is_file()
     return "in the units of convention.yaml" if named else "meaning not stated"
 
@@ -275,7 +275,7 @@ def _vectors(dataset: Dataset) -> str:
         "meaning not stated": "The dataset does not state their units.\n",
         "in the units of convention.yaml": "`convention.yaml` says their units and ranges.\n",
     }
-    units = own if dataset.description.semantics else stated[_unsaid(dataset)]
+    units = own if dataset.description.semantics else stated[_unstated(dataset)]
     return "## Observations\n\n" + _table(("vector", "size", "components"), rows) + ("\n" + units if rows else "")
 
 

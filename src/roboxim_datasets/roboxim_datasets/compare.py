@@ -209,10 +209,10 @@ def _compare_episode(
     maps = {"depth": names.depth, "segmentation": names.segmentation}
     for one_step, other_step in zip(a.steps(names.cameras, **maps), b.steps(names.cameras, **maps), strict=False):
         found.steps += 1
-        spoken = [step.instruction or e.instruction for step, e in ((one_step, a), (other_step, b))]
-        if spoken[0] != spoken[1] and "instruction" not in reported and a.instruction == b.instruction:
+        instructions = [step.instruction or e.instruction for step, e in ((one_step, a), (other_step, b))]
+        if instructions[0] != instructions[1] and "instruction" not in reported and a.instruction == b.instruction:
             reported.add("instruction")
-            found.add(f"instruction from step {one_step.index}: {spoken[0]!r} against {spoken[1]!r}", where)
+            found.add(f"instruction from step {one_step.index}: {instructions[0]!r} against {instructions[1]!r}", where)
         at_hand = a.subtask(one_step), b.subtask(other_step)
         if names.subtasks and at_hand[0] != at_hand[1] and not reported & {"subtask", "instruction"}:
             reported.add("subtask")

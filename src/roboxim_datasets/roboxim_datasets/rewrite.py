@@ -21,7 +21,7 @@ from roboxim_core.config import from_plain, to_plain
 from roboxim_core.config import to_json as config_json
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, printable
 from roboxim_core.plain_data.documents import read_json_object, read_text
-from roboxim_datasets.account import Fate, Part, to_json
+from roboxim_datasets.account import Part, Treatment, to_json
 from roboxim_datasets.build import only_build
 from roboxim_datasets.card import write_card
 from roboxim_datasets.dataset import EXPORT_FILE, SPLITS, Dataset, Description
@@ -252,12 +252,12 @@ def _without_maps(description: Description, plan: Plan, format: str) -> tuple[De
     return replace(description, features=replace(features, depth=(), segmentation=())), lost
 
 
-def _parts(names: Sequence[str], plan: Plan, fate: Fate, why: str) -> list[Part]:
+def _parts(names: Sequence[str], plan: Plan, treatment: Treatment, why: str) -> list[Part]:
     """Return parts of all frames of a plan."""
     if not names:
         return []
     frames = sum(p.dataset.read(p.split, p.index).length for places in plan.values() for p in places)
-    return [Part(kind="key", name=name, count=frames, fate=fate, why=why) for name in names]
+    return [Part(kind="key", name=name, count=frames, treatment=treatment, why=why) for name in names]
 
 
 def _checked(episode: Episode, where: str) -> Episode:

@@ -79,7 +79,7 @@ def page_of(**changes):
     action = Curve(name="<dx>", lines=(np.array([np.nan, *np.linspace(0, 1, 19)]),))
     return replace(EpisodePage(
         episode_id="eval-0-00007-0", actor="bc", instruction="Pick up <the cube>", outcome="failure",
-        reason="not_grasped", told="Slipped.", message="", steps=15, ticks=20, tick_s=0.1,
+        reason="not_grasped", explanation="Slipped.", message="", steps=15, ticks=20, tick_s=0.1,
         conditions=picking(lift, fingers), signals=[Signals(name="Action", curves=[action])],
         held=[{"object": "cube", "role": "target"}], facts={"robot": "panda"}, commands="roboxim replay BAG", film=film,
         others=[OtherWay(name="expert", outcome="success", text="12 actions.", film=film)], log="hello",

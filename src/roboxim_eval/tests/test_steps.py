@@ -6,7 +6,7 @@ import pytest
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.verdicts import Verdict
-from roboxim_eval.report.course import steps_told
+from roboxim_eval.report.course import explain_steps
 from roboxim_eval.report.evaluation import PolicyRun, Report, evaluation_page, summary
 from roboxim_eval.report.reasons import explained
 from roboxim_eval.statistics.steps import step_share
@@ -54,9 +54,9 @@ def test_reasons_of_steps_are_explained():
 
 def test_course_says_which_steps_were_done():
     words = ("Stack the red cube", "Push the button")
-    told = steps_told(words, (81, None), 2, "Pressed down 0 cm of 0.6.")
+    told = explain_steps(words, (81, None), 2, "Pressed down 0 cm of 0.6.")
     assert (
         told
         == "1 of 2 steps were done (step 1 at tick 81). Step 2, 'Push the button', was not: pressed down 0 cm of 0.6."
     )
-    assert steps_told(words, (None, None), 1, "") == "0 of 2 steps were done. Step 1, 'Stack the red cube', was not."
+    assert explain_steps(words, (None, None), 1, "") == "0 of 2 steps were done. Step 1, 'Stack the red cube', was not."

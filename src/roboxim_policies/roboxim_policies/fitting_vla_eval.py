@@ -31,7 +31,7 @@ OF_THE_RUN = (
     "deterministic_episodes",
 )  # fmt: skip
 """Parameters that say how the training benchmark runs its episodes, not what numbers mean. RoboXim's tasks say it."""
-UNTOLD = "raw"
+DEFAULT_FORMAT = "raw"
 """The format of what a server does not declare."""
 
 _QUATERNIONS = (RotationRepresentation.QUATERNION_XYZW, RotationRepresentation.QUATERNION_WXYZ)
@@ -170,12 +170,12 @@ def _action_misfits(specs: Mapping[str, Any], convention: Convention, *, is_abso
         if total != convention.action.raw_size:
             found.append(f"its actions have {total} numbers, the convention's {convention.action.raw_size}")
     for name, part in specs.items():
-        word = part.get("format", UNTOLD) if isinstance(part, dict) else None
+        word = part.get("format", DEFAULT_FORMAT) if isinstance(part, dict) else None
         if not isinstance(word, str):
             found.append(f"its action_spec '{echo(name)}' has no format: {echo(part)}")
         elif word == "delta_xyz" and is_absolute:
             continue  # X-VLA declares both; its benchmark goes by absolute_action, which is compared
-        elif word != UNTOLD:
+        elif word != DEFAULT_FORMAT:
             found += _format(f"action_spec: {name}", word, convention)
     return found
 
@@ -213,12 +213,12 @@ def _gripper(word: str, convention: Convention) -> list[str]:
 def _observation_misfits(specs: Mapping[str, Any], convention: Convention) -> list[str]:
     found, pictures = [], []
     for name, part in specs.items():
-        word = part.get("format", UNTOLD) if isinstance(part, dict) else None
+        word = part.get("format", DEFAULT_FORMAT) if isinstance(part, dict) else None
         if word == PICTURE:
             pictures.append(str(name))
         elif word in STATE_FORMATS or word == JOINTS:
             found += _state(str(word), convention)
-        elif word not in (UNTOLD, LANGUAGE):
+        elif word not in (DEFAULT_FORMAT, LANGUAGE):
             found.append(_unknown(f"observation_spec: {name}", part if word is None else word))
     if len(pictures) > len(convention.images):
         ours = ", ".join(image.key for image in convention.images) or "none"

@@ -35,7 +35,7 @@ class RewordedPolicy:
             require_set(wordings)
             if instruction:
                 raise ConfigError("reworded takes an instruction or a set of wordings, not both")
-        self._policy = Overheard(load_policy(policy, **options))
+        self._policy = InstructionRecorder(load_policy(policy, **options))
         self._instruction, self._wordings = instruction, wordings
 
     @property
@@ -50,7 +50,7 @@ class RewordedPolicy:
         if inner is None:
             return None
         found = copy.copy(self)
-        found._policy = Overheard(inner)
+        found._policy = InstructionRecorder(inner)
         return found
 
     def describe(self) -> PolicyDescription:
@@ -81,7 +81,7 @@ def wordings_or_itself(instruction: str, name: str) -> tuple[str, ...]:
     return reworded(instruction, name) or (instruction,)
 
 
-class Overheard:
+class InstructionRecorder:
     """A policy that notes the instructions of the calls that reach another one."""
 
     def __init__(self, policy: Policy) -> None:

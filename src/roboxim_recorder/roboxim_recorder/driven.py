@@ -41,7 +41,7 @@ class Stretch:
 
     scene: SceneSpec
     """The scene."""
-    era: int
+    clock_epoch: int
     """Number of restarts of the simulated time before it."""
     states: tuple[StateRecord, ...]
     """The states; the images of one have its stamp and its era."""
@@ -158,24 +158,24 @@ class DrivenDataset(Dataset):
         """Yield the stretches of ticks with an action, and count the states that belong to none."""
         scene: SceneSpec | None = None
         run: list[StateRecord] = []
-        eras, mine = _Eras(), 0
+        epochs, epoch = _Epochs(), 0
         for topic, _, message in self._bag.messages((SCENE, topics.STATE)):
             if topic == SCENE:
                 found = from_msg(message, SceneSpec)
                 if found != scene:
-                    yield from self._closed(scene, mine, run)
+                    yield from self._closed(scene, epoch, run)
                     scene, run = found, []
                 continue
             state = from_msg(message, StateRecord)
-            era = eras.of(topic, state.stamp_ns)
-            if run and (era != mine or not _follows(run, state)):
-                yield from self._closed(scene, mine, run)
+            clock_epoch = epochs.of(topic, state.stamp_ns)
+            if run and (clock_epoch != epoch or not _follows(run, state)):
+                yield from self._closed(scene, epoch, run)
                 run = []
             run.append(state)
-            mine = era
-        yield from self._closed(scene, mine, run)
+            epoch = clock_epoch
+        yield from self._closed(scene, epoch, run)
 
-    def _closed(self, scene: SceneSpec | None, era: int, run: Sequence[StateRecord]) -> Iterator[Stretch]:
+    def _closed(self, scene: SceneSpec | None, clock_epoch: int, run: Sequence[StateRecord]) -> Iterator[Stretch]:
         """Yield the parts of a run of states that have all images, which a busy machine may lose."""
         if scene is None:
             self._others["without a scene before them"] += len(run)
@@ -183,11 +183,11 @@ class DrivenDataset(Dataset):
         stamps = [self._stamps[topics.image_topic(camera.name)] for camera in self._cameras(scene)]
         part: list[StateRecord] = []
         for state in (*run, None):
-            if state is not None and all((era, state.stamp_ns) in there for there in stamps):
+            if state is not None and all((clock_epoch, state.stamp_ns) in there for there in stamps):
                 part.append(state)
                 continue
             if len(part) > 1:
-                yield Stretch(scene=scene, era=era, states=tuple(part))
+                yield Stretch(scene=scene, clock_epoch=clock_epoch, states=tuple(part))
             elif part:
                 self._others["alone: no tick follows"] += 1
             if state is not None:
@@ -203,19 +203,19 @@ class DrivenDataset(Dataset):
         """Topic of images to their eras and stamps [ns]."""
         found: dict[str, set[tuple[int, int]]] = {}
         names = [topic for topic, kind in self._bag.types.items() if kind == topics.IMAGE]
-        eras = _Eras()
+        epochs = _Epochs()
         for topic, _, message in self._bag.messages(names) if names else ():
             stamp = stamp_to_ns(message.header.stamp)
-            found.setdefault(topic, set()).add((eras.of(topic, stamp), stamp))
+            found.setdefault(topic, set()).add((epochs.of(topic, stamp), stamp))
         return found
 
     def _like(self, one: Stretch, other: Stretch) -> bool:
         """Return whether two stretches fit into one dataset."""
-        mine, others = (
+        epoch, others = (
             (of.scene.robot.model, of.tick_ns, [(c.name, c.width, c.height) for c in self._cameras(of.scene)])
             for of in (one, other)
         )
-        return mine == others
+        return epoch == others
 
     def _images(self, stretch: Stretch, cameras: Sequence[str]) -> Iterator[dict[str, Any]]:
         """Yield the images of each state of a stretch, by camera."""
@@ -223,12 +223,12 @@ class DrivenDataset(Dataset):
         if not names:
             yield from ({} for _ in stretch.states)
             return
-        wanted, eras = [state.stamp_ns for state in stretch.states], _Eras()
+        wanted, epochs = [state.stamp_ns for state in stretch.states], _Epochs()
         found: dict[int, dict[str, Any]] = {stamp: {} for stamp in wanted}
         at = 0
         for topic, _, message in self._bag.messages(tuple(names)):
             stamp = stamp_to_ns(message.header.stamp)
-            if eras.of(topic, stamp) == stretch.era and stamp in found:
+            if epochs.of(topic, stamp) == stretch.clock_epoch and stamp in found:
                 found[stamp][names[topic]] = image_from_msg(message)
             while at < len(wanted) and len(found[wanted[at]]) == len(names):
                 yield found.pop(wanted[at])
@@ -237,7 +237,7 @@ class DrivenDataset(Dataset):
                     return
 
 
-class _Eras:
+class _Epochs:
     """Counts the restarts of each topic's time, because stamps alone do not distinguish two scenes."""
 
     def __init__(self) -> None:
@@ -245,10 +245,10 @@ class _Eras:
 
     def of(self, topic: str, stamp_ns: int) -> int:
         """Return the era of a topic's next message."""
-        era, last = self._last.get(topic, (0, -1))
-        era += stamp_ns <= last
-        self._last[topic] = era, stamp_ns
-        return era
+        clock_epoch, last = self._last.get(topic, (0, -1))
+        clock_epoch += stamp_ns <= last
+        self._last[topic] = clock_epoch, stamp_ns
+        return clock_epoch
 
 
 def _follows(run: Sequence[StateRecord], state: StateRecord) -> bool:

@@ -89,9 +89,11 @@ class ActionCall:
         try:
             answer = self._wait(self._clients.in_thread(handle.get_result_async), deadline, check)
         except BaseException:
-            heard = threading.Event()
-            self._clients.in_thread(handle.cancel_goal_async).add_done_callback(lambda _: heard.set())
-            heard.wait(30.0)  # a client that leaves before the server receives the cancellation would let the goal run
+            answered = threading.Event()
+            self._clients.in_thread(handle.cancel_goal_async).add_done_callback(lambda _: answered.set())
+            answered.wait(
+                30.0
+            )  # a client that leaves before the server receives the cancellation would let the goal run
             raise
         return GoalResult(status=_STATUS.get(answer.status, "aborted"), result=answer.result)
 

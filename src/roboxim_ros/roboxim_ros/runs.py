@@ -119,7 +119,7 @@ def free_domain() -> Iterator[int]:
         reservation.__exit__(None, None, None)
 
 
-def _birth(pid: int) -> int | None:
+def _start_time(pid: int) -> int | None:
     """Return a process's start in clock ticks since boot, to distinguish it from a later process of the same id."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
@@ -156,7 +156,7 @@ class Run:
     @property
     def live_pids(self) -> tuple[int, ...]:
         """Ids of the run's live processes."""
-        return tuple(pid for pid, birth in zip(self.pids, self.births, strict=True) if _birth(pid) == birth)
+        return tuple(pid for pid, start in zip(self.pids, self.births, strict=True) if _start_time(pid) == start)
 
     @property
     def environment(self) -> dict[str, str]:
@@ -253,7 +253,7 @@ def register_run(
         namespaces=tuple(namespaces),
         started=datetime.now(UTC).isoformat(timespec="seconds"),
         pids=(os.getpid(),),
-        births=(_birth(os.getpid()) or 0,),
+        births=(_start_time(os.getpid()) or 0,),
         folder=str(Path(folder).absolute()) if str(folder) else "",
     )
     with _lock():
@@ -290,7 +290,7 @@ def leave_run(run_id: str, pid: int, *, nodes: Sequence[str] = ()) -> None:
 
 
 def _with_pids(run: Run, pids: Sequence[int]) -> Run:
-    known = {pid: birth for pid in dict.fromkeys(pids) if (birth := _birth(pid)) is not None}
+    known = {pid: start for pid in dict.fromkeys(pids) if (start := _start_time(pid)) is not None}
     return dataclasses.replace(run, pids=tuple(known), births=tuple(known.values()))
 
 

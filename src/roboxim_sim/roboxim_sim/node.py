@@ -76,7 +76,7 @@ class SimNode(SimServer):
         self._holder = ""
         self._tick_messages: TickMessages | None = None
         self._unpublished: PreparedTick | None = None  # tick with the scene's messages
-        self._heard, self._look_by = False, 0.0
+        self._has_subscribers, self._look_by = False, 0.0
         self._scene_out = self.create_publisher(SceneSpecMsg, "sim/scene", qos.LATCHED)
         self._outputs: dict[str, Publisher] = {}
         self._notices = self.resolve_topic_name(NOTICE)
@@ -179,9 +179,9 @@ class SimNode(SimServer):
         """Return whether a topic has subscribers; the answer is at most `LISTENERS_S` old."""
         now = time.monotonic()
         if now >= self._look_by:
-            self._heard = any(publisher.get_subscription_count() for publisher in self._outputs.values())
+            self._has_subscribers = any(publisher.get_subscription_count() for publisher in self._outputs.values())
             self._look_by = now + LISTENERS_S
-        return self._heard
+        return self._has_subscribers
 
     def _publish_or_release(self, record: StateRecord) -> None:
         try:

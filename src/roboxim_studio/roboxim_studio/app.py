@@ -147,7 +147,7 @@ class Studio:
             else:
                 self.open_task(str(opened.path or ""))
         except RoboximError as error:
-            self.site.tell(alert=str(error))
+            self.site.send(alert=str(error))
             raise
 
     def open_bag(self, path: Path) -> Film:
@@ -176,13 +176,13 @@ class Studio:
         film = self.episode.film
         if film is None:
             return None
-        self.site.tell(alert="")
+        self.site.send(alert="")
         try:
             file = share(film, self.library, self.folder / f"{film.info.episode_id}.html")
         except (RoboximError, OSError) as error:
-            self.site.tell(alert=str(error))
+            self.site.send(alert=str(error))
             return None
-        self.site.tell(hint=f"written: {file.name}")
+        self.site.send(hint=f"written: {file.name}")
         return file
 
     def watch(self, film: Film) -> None:
@@ -261,7 +261,7 @@ class Studio:
 
     def _received(self, page: int, message: Mapping[str, Any]) -> None:
         """Obey a page; called in the server's thread."""
-        self.drive.heard(page, message)
+        self.drive.receive(page, message)
         key = message.get("key")
         if isinstance(key, str):
             if self.mode == EPISODE:

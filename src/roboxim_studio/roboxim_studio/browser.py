@@ -244,7 +244,7 @@ class Browser(Page):
 
 
 def wait_for(
-    asked: Callable[[], Any], what: str, seconds: float = WAIT_S, describe: Callable[[], str] = lambda: ""
+    condition: Callable[[], Any], description: str, seconds: float = WAIT_S, describe: Callable[[], str] = lambda: ""
 ) -> Any:
     """Return the first true answer.
 
@@ -252,9 +252,9 @@ def wait_for(
         RoboximError: When there is none in time.
     """
     end = time.monotonic() + seconds
-    while not (found := asked()):
+    while not (found := condition()):
         if time.monotonic() > end:
-            raise RoboximError(f"waited {seconds:g} s for {what}; {describe()}", ErrorCode.TIMEOUT)
+            raise RoboximError(f"waited {seconds:g} s for {description}; {describe()}", ErrorCode.TIMEOUT)
         time.sleep(0.05)
     return found
 

@@ -137,8 +137,8 @@ def _screen(width: int, height: int) -> tuple[subprocess.Popen[bytes], str]:
         pass_fds=(writable,), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     os.close(writable)
-    with os.fdopen(readable) as told:
-        number = told.readline().strip()
+    with os.fdopen(readable) as display:
+        number = display.readline().strip()
     if not number:
         end(process)
         raise RoboximError("Xvfb did not start", ErrorCode.UNAVAILABLE)

@@ -38,7 +38,7 @@ def episode_html(film: Film, library: ModelLibrary) -> str:
     Raises:
         RoboximError: When its models are unknown.
     """
-    film.pictures.asked.set()
+    film.pictures.requested.set()
     film.pictures.complete.wait()
     site = Site(Access())
     try:

@@ -80,12 +80,12 @@ def test_sockets_need_the_token_and_the_own_origin(site, heard):
     ):
         with pytest.raises(InvalidStatus, match="403"), connect(url, origin=origin, subprotocols=["viser-v1.1.1"]):
             pass
-    site.tell(hint="drive")
+    site.send(hint="drive")
     with connect(f"{base}/{token(site)}/control", origin=own) as socket:
         assert json.loads(socket.recv())["hint"] == "drive"
         for text in ("no json", "[1]", json.dumps({"key": "Space"}), "[" * 20_000):
             socket.send(text)
-        site.tell(hint="done")
+        site.send(hint="done")
         assert json.loads(socket.recv()) == {"hint": "done"}
         assert site.pages == 1
     assert (1, {"key": "Space"}) in heard

@@ -117,7 +117,7 @@ def test_the_graphs_tasks_room_draws_what_the_studio_loads(attached):
     studio, clients = attached
     studio.live._index.value = 3
     studio.live.draw().result(timeout=120)
-    assert "Pick up the" in studio.live._told.content
+    assert "Pick up the" in studio.live._message.content
     entities = clients.call(GetEntities, "sim/get_entities", GetEntities.Request()).entities
     assert "target" in entities
     studio.live._task.value = "/etc/passwd"  # as a forged message of a page would

@@ -68,7 +68,7 @@ def test_tasks_of_several_skills_are_drawn_but_not_composed(studio, task):
     studio.compose._task.value = task
     studio.compose._choose()
     assert studio.compose.form.made is None
-    assert "not composed" in studio.compose.form._said.content
+    assert "not composed" in studio.compose.form._problem.content
     assert studio.compose.text == task_text(task)
 
 
@@ -77,7 +77,7 @@ def test_a_refused_edit_is_named_in_the_page_and_changes_nothing(studio, tmp_pat
     compose._choose()
     before = compose.text
     assert not compose.form.toggle("target", "cube")  # the only one
-    assert "at least one model" in compose._told.content
+    assert "at least one model" in compose._message.content
     assert not compose.form.edit(lambda made: edits.with_distractors(made, 9, 9))
     assert compose.text == before
     compose._saves = tmp_path / "inside"
@@ -98,7 +98,7 @@ def test_a_saved_task_gives_generate_the_scene_that_was_shown(studio, tmp_path):
     compose._seed.value, compose._index.value = 4, 1
     draw = compose.draw(another=True).result(timeout=120)
     assert draw.task.instruction.startswith("Get the")
-    assert digest(draw.scene) in compose._told.content
+    assert digest(draw.scene) in compose._message.content
     file = compose.save("my_task")
     assert load_task_config(str(file)) == compose.form.made.config
     config = RunConfig(run_seed=4, purpose="demo", task_config=task_text(str(file)), output_dir=str(tmp_path / "run"))
@@ -121,7 +121,7 @@ def test_refusals_are_counted_with_their_causes(studio, monkeypatch):
     counts = compose.count().result(timeout=300)
     assert sum(counts.values())
     for name, number in counts.items():
-        assert f"{name} {number}" in compose._told.content.replace("&#x27;", "'")
+        assert f"{name} {number}" in compose._message.content.replace("&#x27;", "'")
 
 
 @pytest.mark.thorough

@@ -98,10 +98,10 @@ def test_a_tap_is_one_tick_and_a_page_that_falls_silent_moves_nothing(studio, tm
     first = panel.begin().result(timeout=120)
     down, up = {"held": ["KeyR"], "pad": None}, {"held": [], "pad": None}
     for seq in (1, 2):
-        panel.heard(1, down)
-        panel.heard(1, up)
+        panel.receive(1, down)
+        panel.receive(1, up)
         wait_for(lambda seq=seq: first.state.seq == seq, "the tick of a tap", 60)
-    panel.heard(1, down)  # and then nothing: the page is busy with its picture
+    panel.receive(1, down)  # and then nothing: the page is busy with its picture
     wait_for(lambda: first.state.seq == 3, "the tick of a word", 60)
     time.sleep(0.5)
     assert first.state.seq == 3
@@ -110,7 +110,7 @@ def test_a_tap_is_one_tick_and_a_page_that_falls_silent_moves_nothing(studio, tm
     assert "target from the tool: " in panel._lamps.content
     assert "you act; time stands still until you move" in panel._lamps.content
     panel.begin().result(timeout=120)
-    assert f"set apart as {tmp_path.name}/set_apart/" in panel._told.content
+    assert f"set apart as {tmp_path.name}/set_apart/" in panel._message.content
 
 
 def test_words_say_where_the_object_is_in_the_directions_of_the_keys():

@@ -223,6 +223,6 @@ def test_a_page_can_name_no_other_file_as_a_task(studio, tmp_path):
     secret.write_text("password: hunter2\n")
     studio.compose._task.value = str(secret)  # as a forged message of a page would
     assert studio.compose.draw().result(timeout=60) is None
-    assert "hunter2" not in studio.compose._told.content
-    assert "in the list" in studio.compose._told.content
+    assert "hunter2" not in studio.compose._message.content
+    assert "in the list" in studio.compose._message.content
     assert studio.compose.drawn is before

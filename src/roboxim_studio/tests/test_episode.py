@@ -12,7 +12,7 @@ from roboxim_studio.panels import markup
 
 def test_every_tick_shows_the_bags_state_and_verdict(studio, bag):
     film = studio.open_bag(bag)
-    film.pictures.asked.set()
+    film.pictures.requested.set()
     assert film.pictures.complete.wait(60)
     for tick in BagReader(bag).ticks(cameras=()):
         studio.episode.show(tick.seq)

@@ -87,7 +87,7 @@ def test_a_selection_file_trims_and_relabels_and_can_be_loaded_again(studio, run
     studio.files.selection.load("../mine")
     studio.episode.show(0)
     studio.files.selection.trim("Ends here")
-    assert "nothing would be left" in studio.files.selection._told.content
+    assert "nothing would be left" in studio.files.selection._message.content
 
 
 def test_conditions_list_the_episodes_that_meet_them(studio, run):
@@ -98,7 +98,7 @@ def test_conditions_list_the_episodes_that_meet_them(studio, run):
     panel.filter("steps>1000")
     assert panel.shown() == ()
     panel.filter("colour=red")
-    assert "no episode has 'colour'" in html.unescape(panel.selection._told.content)
+    assert "no episode has 'colour'" in html.unescape(panel.selection._message.content)
     panel.filter("")
     assert len(panel.shown()) == 1
 
@@ -114,9 +114,9 @@ def test_a_dataset_is_filtered_marked_trimmed_and_audited_without_being_touched(
     (name,) = panel._found
     assert panel._meeting.options[1].startswith(f"{name} | ")
     panel.filter("skill=nothing")
-    assert "expected" in panel.selection._told.content
+    assert "expected" in panel.selection._message.content
     panel.selection.audit()
-    assert "never change" in panel.selection._told.content
+    assert "never change" in panel.selection._message.content
     panel.step(3)
     panel.selection.trim("Starts here")
     panel.selection.relabel("Lift it")

@@ -2,7 +2,7 @@ import pytest
 
 from roboxim_core.errors import ConfigError
 from roboxim_studio.acting.lab import Lab
-from roboxim_studio.acting.what_if import EXPERT, RECORDED, Question, ask
+from roboxim_studio.acting.what_if import EXPERT, RECORDED, Question, simulate
 from roboxim_studio.episode.film import read_film
 
 
@@ -19,7 +19,7 @@ def film(bag):
 
 
 def test_recorded_actions_lead_to_the_recorded_states(lab, film):
-    answer = ask(lab.graph, film, Question(tick=3, actor=RECORDED))
+    answer = simulate(lab.graph, film, Question(tick=3, actor=RECORDED))
     assert answer.differs_at is None
     assert [state.state_hash for state in answer.film.states] == [state.state_hash for state in film.states]
     assert answer.film.verdicts == film.verdicts
@@ -27,7 +27,7 @@ def test_recorded_actions_lead_to_the_recorded_states(lab, film):
 
 def test_the_expert_goes_on_from_a_tick_with_what_the_gripper_holds(lab, film):
     held = next(s.seq for s in film.states if len(s.contacts_between("robot", "target")) > 1) + 2
-    answer = ask(lab.graph, film, Question(tick=held, actor=EXPERT), lab.actor(EXPERT))
+    answer = simulate(lab.graph, film, Question(tick=held, actor=EXPERT), lab.actor(EXPERT))
     assert answer.differs_at is None or answer.differs_at > held
     assert answer.film.result.outcome == "success"
     assert answer.film.pictures.at(held + 1).keys() == film.pictures.at(0).keys()
@@ -35,7 +35,7 @@ def test_the_expert_goes_on_from_a_tick_with_what_the_gripper_holds(lab, film):
 
 @pytest.mark.slow
 def test_a_moved_object_differs_from_there_on_and_marks_the_episode(lab, film):
-    answer = ask(lab.graph, film, Question(tick=5, actor=RECORDED, moved="target", by_m=(0.0, 0.2)))
+    answer = simulate(lab.graph, film, Question(tick=5, actor=RECORDED, moved="target", by_m=(0.0, 0.2)))
     assert answer.differs_at == 6
     assert answer.film.states[-1].disturbed
     shift = answer.film.states[6].entity("target").pose.position[1] - film.states[5].entity("target").pose.position[1]
@@ -53,7 +53,7 @@ def test_a_moved_object_differs_from_there_on_and_marks_the_episode(lab, film):
 )
 def test_a_question_that_makes_no_sense_is_refused(lab, film, question, said):
     with pytest.raises(ConfigError, match=said):
-        ask(lab.graph, film, question)
+        simulate(lab.graph, film, question)
 
 
 @pytest.mark.slow
@@ -63,7 +63,7 @@ def test_the_panel_shows_the_other_episode_beside_the_first(studio, bag):
     studio.what_if._actor.value = RECORDED
     answer = studio.what_if.start().result(timeout=120)
     assert studio.what_if.other is answer.film
-    assert "no tick differs" in studio.what_if._told.content
+    assert "no tick differs" in studio.what_if._message.content
     studio.what_if._swap()
     assert studio.episode.film is answer.film
     assert studio.what_if.other is film

@@ -54,7 +54,7 @@ def new(source: Path, name: str, out: Path, **given: Any) -> None:
     else:
         stem = source.name.split(".")[0].lower().replace("-", "_")
         recipe = RobotRecipe(name=name or stem, urdf=str(source.resolve()), source=source.name, **given)
-    file = derive(recipe, out / "robots", folder=source.resolve().parent, say=click.echo)
+    file = derive(recipe, out / "robots", folder=source.resolve().parent, report=click.echo)
     click.echo(f"wrote {file} and {file.with_suffix('')}/")
     click.echo(f"next: ROBOXIM_CONFIG_PATH={out} roboxim robot check {recipe.name}")
 
@@ -72,7 +72,7 @@ def gripper(recipe: Path, out: Path) -> None:
     from roboxim_runs.robots.gripper_derivation import GripperRecipe, derive_gripper
 
     file = derive_gripper(
-        load_config(recipe, GripperRecipe), out / "grippers", folder=recipe.resolve().parent, say=click.echo
+        load_config(recipe, GripperRecipe), out / "grippers", folder=recipe.resolve().parent, report=click.echo
     )
     click.echo(f"wrote {file} and {file.with_suffix('')}/")
 

@@ -235,19 +235,19 @@ def _listen(
     )
     subscription = peer.node.create_subscription(cls, absolute(name), inbox.put, qos, raw=fresh)
     peer.wake()
-    begun = heard = time.monotonic()
+    begun = received = time.monotonic()
     try:
         while duration_s is None or time.monotonic() - begun < duration_s:
             try:
                 message = inbox.get(timeout=0.1)
             except queue.Empty:
-                if silent is not None and time.monotonic() - heard > SILENT_S:
+                if silent is not None and time.monotonic() - received > SILENT_S:
                     silent()
                     silent = None
-                if timeout_s is not None and time.monotonic() - heard > timeout_s:
+                if timeout_s is not None and time.monotonic() - received > timeout_s:
                     raise RequestTimeoutError(f"no message on {absolute(name)} for {timeout_s:g} s") from None
                 continue
-            heard = time.monotonic()
+            received = time.monotonic()
             take(message)
             if once:
                 return

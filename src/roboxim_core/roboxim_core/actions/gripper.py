@@ -56,7 +56,7 @@ class GripperSwitch:
         self._rule = rule
         self._command = command
         self._previous: float | None = None
-        self._asking = 0
+        self._agreeing = 0
         self._held = 0
 
     def step(self, opening: float) -> float:
@@ -73,11 +73,11 @@ class GripperSwitch:
         if self._held:
             self._held -= 1
         elif wanted is None or wanted == self._command:
-            self._asking = 0
+            self._agreeing = 0
         else:
-            self._asking += 1
-            if self._asking >= self._rule.agree:
-                self._command, self._asking, self._held = wanted, 0, max(self._rule.hold - 1, 0)
+            self._agreeing += 1
+            if self._agreeing >= self._rule.agree:
+                self._command, self._agreeing, self._held = wanted, 0, max(self._rule.hold - 1, 0)
         return self._command
 
     def _wanted(self, opening: float) -> float | None:

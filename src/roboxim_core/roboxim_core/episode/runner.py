@@ -348,7 +348,7 @@ class _Episode:
                 if self.acting.finished(self.state.seq):
                     return "failure", "actor_finished", ""
                 if self.acting.due(self.state.seq):
-                    yield from self._ask()
+                    yield from self._request_chunk()
                 self._tick(self.acting.action(self.state))
         except (PolicyError, InvalidRequestError) as error:
             if isinstance(error, InvalidRequestError) and error.code != ErrorCode.INVALID_ACTION:
@@ -378,7 +378,7 @@ class _Episode:
             self.window = _Window(self.config.window or self.description.window)
         self.runner.warm = True
 
-    def _ask(self) -> Generator[Request, ActionChunk | None, None]:
+    def _request_chunk(self) -> Generator[Request, ActionChunk | None, None]:
         before = self.ports.clock()
         chunk = yield self.window.request(self.info)
         self.last_inference_s = self.ports.clock() - before

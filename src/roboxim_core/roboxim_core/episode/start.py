@@ -47,7 +47,7 @@ def start_refusal(scene: SceneSpec, state: StateRecord, verdict: Verdict) -> Ref
     """
     specs = {entity.name: entity for entity in scene.entities}
     for entity in state.entities:
-        if entity.name in specs and (found := _unrest(specs[entity.name], entity)):
+        if entity.name in specs and (found := _motion_of(specs[entity.name], entity)):
             return Refusal(
                 constraint=f"{entity.name}_unsettled",
                 message=f"'{entity.name}' {found}; place its model ({specs[entity.name].model}) where it rests, see "
@@ -66,7 +66,7 @@ def start_refusal(scene: SceneSpec, state: StateRecord, verdict: Verdict) -> Ref
     return None
 
 
-def _unrest(spec: EntitySpec, entity: EntityState) -> str:
+def _motion_of(spec: EntitySpec, entity: EntityState) -> str:
     """Describe how an object fails to rest where it was placed; empty if it rests."""
     x, y, z = (now - put for now, put in zip(entity.pose.position, spec.pose.position, strict=True))
     turned_rad = distance(spec.pose, entity.pose)[1]

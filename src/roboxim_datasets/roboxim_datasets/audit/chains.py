@@ -40,7 +40,7 @@ class Chain:
     """Difference that matters, in SI units."""
     measured: Values
     """Measured increments from step to step, shape (T - 1, n)."""
-    asked: Values
+    commanded: Values
     """Increments of the executed target, shape (T, n)."""
     labelled: Values
     """Increments of the target that the labels name, shape (T, n)."""
@@ -150,7 +150,7 @@ def _linear(name: str, unit: str, per_unit: float, tolerance: float, made: _Targ
     labels = np.concatenate([made.measured[:1], made.labelled[:-1]])
     return Chain(
         name=name, unit=unit, per_unit=per_unit, tolerance=tolerance, measured=np.diff(made.measured, axis=0),
-        asked=made.executed - before, labelled=made.labelled - labels, apart=made.executed - made.labelled,
+        commanded=made.executed - before, labelled=made.labelled - labels, apart=made.executed - made.labelled,
     )  # fmt: skip
 
 
@@ -161,6 +161,6 @@ def _rotational(measured: Any, executed: Any, labelled: Any) -> Chain:
     labels = Rotation.concatenate([measured[:1], labelled[:-1]])
     return Chain(
         name="rotation", unit="degrees", per_unit=DEGREE, tolerance=0.5 * DEGREE,
-        measured=(measured[1:] * measured[:-1].inv()).as_rotvec(), asked=(executed * before.inv()).as_rotvec(),
+        measured=(measured[1:] * measured[:-1].inv()).as_rotvec(), commanded=(executed * before.inv()).as_rotvec(),
         labelled=(labelled * labels.inv()).as_rotvec(), apart=(executed * labelled.inv()).as_rotvec(),
     )  # fmt: skip

@@ -26,7 +26,9 @@ def response(pairs: Sequence[tuple[Values, Values]], scale: float) -> Values:
     Returns:
         Weight of each of `LAGS`.
     """
-    design = np.concatenate([_lagged(asked)[: len(measured)].reshape(-1, len(LAGS)) for asked, measured in pairs])
+    design = np.concatenate(
+        [_lagged(commanded)[: len(measured)].reshape(-1, len(LAGS)) for commanded, measured in pairs]
+    )
     goal = np.concatenate([measured.reshape(-1) for _, measured in pairs])
     best, lowest = np.zeros(len(LAGS)), np.inf
     for start in (np.eye(len(LAGS))[1], np.linalg.lstsq(design, goal, rcond=None)[0]):
@@ -42,14 +44,14 @@ def response(pairs: Sequence[tuple[Values, Values]], scale: float) -> Values:
     return np.asarray(best)
 
 
-def predicted(asked: Values, weights: Values) -> Values:
+def predicted(commanded: Values, weights: Values) -> Values:
     """Return the motion that a response predicts, shape (T - 1, n), for actions of shape (T, n)."""
-    return np.asarray(_lagged(asked)[:-1] @ weights)
+    return np.asarray(_lagged(commanded)[:-1] @ weights)
 
 
-def _lagged(asked: Values) -> Values:
+def _lagged(commanded: Values) -> Values:
     """Return shape (T, n, lags): the increment `LAGS` ticks before each tick; 0 where there is none."""
-    found = [shifted(asked, lag) for lag in LAGS]
+    found = [shifted(commanded, lag) for lag in LAGS]
     return np.stack(found, axis=-1)
 
 

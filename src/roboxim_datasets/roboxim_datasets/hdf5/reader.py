@@ -372,8 +372,8 @@ class Hdf5Dataset(Dataset):
         for attribute in attributes(demo):
             shown = f"demo.attrs[{attribute}]"
             account.holds("metadata", shown)
-            if attribute == "num_samples" and _said(demo, attribute) not in ("", str(length)):
-                why = f"it says {_said(demo, attribute)}, there are {length} actions"
+            if attribute == "num_samples" and _attribute_text(demo, attribute) not in ("", str(length)):
+                why = f"it says {_attribute_text(demo, attribute)}, there are {length} actions"
                 account.leaves_out("metadata", shown, why, 1)
             elif attribute in _REPEATED:
                 account.implies("metadata", shown, _REPEATED[attribute], 1)
@@ -410,7 +410,7 @@ class Hdf5Dataset(Dataset):
                 account.leaves_out("key", path, f"{why} ({array.dtype}, {_shown(array.shape)})", array.length)
 
 
-def _said(demo: Any, attribute: str) -> str:
+def _attribute_text(demo: Any, attribute: str) -> str:
     return printable(attributes(demo).get(attribute, "").strip("[] "), 40)
 
 
@@ -420,9 +420,9 @@ def _is_flag(array: Array) -> bool:
 
 def _success(demo: Any, found: Mapping[str, Array]) -> bool | None:
     """Return what an episode says of its success: an attribute, or the last step of an array; None: neither does."""
-    said = attributes(demo)
-    if _SUCCESS in said:
-        return _flag(said[_SUCCESS])
+    stated = attributes(demo)
+    if _SUCCESS in stated:
+        return _flag(stated[_SUCCESS])
     array, actions = found.get(_SUCCESS), found.get("actions")
     if array is None or actions is None or not actions.length or array.length != actions.length or not _is_flag(array):
         return None

@@ -102,7 +102,7 @@ class Hdf5Writer:
         depth = {key: self._map(group, key, c, length, "float32") for key, c in content.depth.items()}
         masks = {key: self._map(group, key, c, length, "uint16") for key, c in content.segmentation.items()}
         rows: dict[str, list[Any]] = {key: [] for key in (*content.components, "rewards")}
-        spoken: list[int] = []
+        indices: list[int] = []
         at_hand: list[int] = []
         for step in episode.steps(
             list(content.cameras.values()),
@@ -112,7 +112,7 @@ class Hdf5Writer:
             for key, values in self._numbers(step).items():
                 rows[key].append(values)
             if episode.instructions:
-                spoken.append(episode.instructions.index(step.instruction or episode.instruction))
+                indices.append(episode.instructions.index(step.instruction or episode.instruction))
             if content.subtasks:
                 at_hand.append(subtasks.index(episode.subtask(step)))
             for key, dataset in images.items():
@@ -123,8 +123,8 @@ class Hdf5Writer:
                 dataset[step.index] = step.segmentation[content.segmentation[key]][..., None]
         for key, collected in rows.items():
             group.create_dataset(key, data=self._checked(key, np.array(collected, np.float32)))
-        if spoken:
-            group.create_dataset(INSTRUCTIONS, data=np.array(spoken, np.int64))
+        if indices:
+            group.create_dataset(INSTRUCTIONS, data=np.array(indices, np.int64))
         if at_hand:
             group.create_dataset(SUBTASKS, data=np.array(at_hand, np.int64))
         group.create_dataset("dones", data=np.eye(length, dtype=np.int64)[-1])

@@ -107,8 +107,8 @@ def _numbered(
     numbers, parts = ({text: number for number, text in enumerate(texts)} for texts in (tasks, subtasks))
     for index, entry in enumerate(entries):
         piece = Piece.read(build.piece(entry["split"], entry["number"], "rows.arrow"))
-        spoken = entry.get("spoken") or [None] * len(piece)
-        task = np.array([numbers[text or entry["instruction"]] for text in spoken], np.int64)
+        instructions = entry.get("spoken") or [None] * len(piece)
+        task = np.array([numbers[text or entry["instruction"]] for text in instructions], np.int64)
         indices = index_arrays(len(piece), fps=layout.fps, episode=index, first=first, task=task)
         if layout.subtasks:
             indices[SUBTASK_INDEX] = np.array([parts[text] for text in entry["subtasks"]], np.int64)

@@ -75,12 +75,14 @@ def levels_of(about: Mapping[str, Any], unit_m: float) -> Levels | str:
         unit_m: Unit that is stated for numbers that are distances [m]; 0: none.
     """
     pixels = _pixels(about)
-    said = f"a video of depth ({printable(pixels or 'is_depth_map', 40)})"
+    stated = f"a video of depth ({printable(pixels or 'is_depth_map', 40)})"
     if pixels and pixels not in _GREY:
-        return f"{said}; only grey frames of 9 to 16 bits are read as depth"
+        return f"{stated}; only grey frames of 9 to 16 bits are read as depth"
     given = {name: about[f"video.{name}"] for name in _SCALE if f"video.{name}" in about}
     if not given:
-        return Levels(unit_m=unit_m) if unit_m else f"{said}, whose unit the format does not state (--depth-unit does)"
+        return (
+            Levels(unit_m=unit_m) if unit_m else f"{stated}, whose unit the format does not state (--depth-unit does)"
+        )
     numbers = [given.get(name) for name in _SCALE[:3]]
     if all(isinstance(n, int | float) and not isinstance(n, bool) and abs(n) <= _FARTHEST_M for n in numbers):
         near, far, shift = (float(n) for n in numbers if n is not None)
@@ -88,7 +90,7 @@ def levels_of(about: Mapping[str, Any], unit_m: float) -> Levels | str:
         if isinstance(log, bool) and 0 <= near < far and (near + shift > 0 or not log) and pixels in ("", "gray12le"):
             return Levels(near_m=near, far_m=far, shift_m=shift, log=log)
     scale = ", ".join(f"{name} {printable(given.get(name), 20)}" for name in _SCALE)
-    return f"{said} whose numbers are levels of a scale that cannot be ({scale})"
+    return f"{stated} whose numbers are levels of a scale that cannot be ({scale})"
 
 
 def _pixels(about: Mapping[str, Any]) -> str:

@@ -102,8 +102,8 @@ class LeRobotMeta:
         try:
             self.fps = Fraction(str(self.info["fps"]))
         except ValueError:
-            said = printable(self.info["fps"], 60)
-            raise damaged(f"{self.path / INFO_FILE}: fps is {said}, expected steps per second above 0") from None
+            stated = printable(self.info["fps"], 60)
+            raise damaged(f"{self.path / INFO_FILE}: fps is {stated}, expected steps per second above 0") from None
         if not 0 < self.fps <= _FASTEST:
             raise damaged(f"{self.path / INFO_FILE}: fps is {float(self.fps):g}, expected steps per second above 0")
         self.features: dict[str, Any] = dict(self.info["features"])

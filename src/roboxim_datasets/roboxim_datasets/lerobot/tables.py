@@ -256,8 +256,8 @@ def texts_of(folder: Path, names: tuple[str, str], version: str) -> dict[int, st
     else:
         found = [(_count(row, index, file), row.get(text)) for row in json_lines(folder, file)]
     by_number: dict[int, str] = {}
-    for number, said in found:
-        named = "" if said is None else str(said)
+    for number, value in found:
+        named = "" if value is None else str(value)
         if by_number.setdefault(number, named) != named:
             texts = f"'{printable(by_number[number], 80)}' and '{printable(named, 80)}'"
             raise damaged(f"{folder / file}: {index} {number} is {texts}, expected one text of a number")

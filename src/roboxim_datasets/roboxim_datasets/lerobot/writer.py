@@ -103,7 +103,7 @@ class LeRobotWriter:
             "split": split, "number": number, "length": len(piece), "instruction": episode.instruction
         }  # fmt: skip
         if episode.instructions:
-            facts |= {"instructions": list(episode.instructions), "spoken": collected.spoken}
+            facts |= {"instructions": list(episode.instructions), "spoken": collected.instructions}
         if self.layout.subtasks:
             facts |= {"subtasks": collected.subtasks}
         self._under_way.append((facts, {key: video.close() for key, video in videos.items()}))
@@ -164,7 +164,7 @@ class _Collected:
         self._layout, self._content, self._videos = layout, content, videos
         self._rows: dict[str, list[Any]] = {key: [] for key in layout.columns}
         self._encoded: dict[str, list[bytes]] = {key: [] for key in (*layout.depth, *layout.cameras)}
-        self.spoken: list[str | None] = []
+        self.instructions: list[str | None] = []
         """Instruction of each step; None: the episode's."""
         self.subtasks: list[str] = []
         """Subtask of each step."""
@@ -173,7 +173,7 @@ class _Collected:
 
     def add(self, step: Step) -> None:
         """Take a step."""
-        self.spoken.append(step.instruction)
+        self.instructions.append(step.instruction)
         names, content = self._content.names, self._content
         values: dict[str, Any] = {names.action: step.action, names.reward: step.reward, names.done: False}
         values |= {key: step.vector(vector) for key, vector in content.vectors.items()}

@@ -51,7 +51,7 @@ def test_every_array_of_an_hdf5_file_is_accounted_for(demos: list[dict[str, tupl
         lost = {part.name for part in dataset.account.left_out if part.kind == "episode"}
         assert len(dataset) + len(lost) == len(demos)
         read = sum(episode.length for episode in dataset.episodes())
-        assert read == sum(p.count for p in dataset.account.parts if (p.name, p.fate) == ("actions", "read"))
+        assert read == sum(p.count for p in dataset.account.parts if (p.name, p.treatment) == ("actions", "read"))
 
 
 @FAST
@@ -78,7 +78,7 @@ def test_what_a_reader_says_nothing_of_is_left_out() -> None:
     account = Account()
     account.holds("key", "a", 5)
     account.reads("key", "a", 3)
-    assert [(part.fate, part.count) for part in account.parts] == [("read", 3), ("left out", 2)]
+    assert [(part.treatment, part.count) for part in account.parts] == [("read", 3), ("left out", 2)]
 
 
 def test_every_feature_of_an_rlds_record_is_accounted_for(tmp_path: Path) -> None:

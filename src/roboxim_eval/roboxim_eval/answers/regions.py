@@ -139,22 +139,22 @@ def search(oracle: Oracle, factors: Sequence[Factor], config: SearchConfig | Non
     low = np.array([factor.lower for factor in factors])
     width = np.array([factor.upper for factor in factors]) - low
 
-    def ask(unit: Array) -> Sequence[bool | None]:
+    def evaluate(unit: Array) -> Sequence[bool | None]:
         return oracle(low + unit * width)
 
     seen = _Seen()
     first = sobol(config.first, len(factors), config.seed)
-    seen.add(first, ask(first))
+    seen.add(first, evaluate(first))
     for number in range(config.rounds):
         points = _next_points(seen, config, len(factors), number, rng)
-        seen.add(points, ask(points))
+        seen.add(points, evaluate(points))
     found, points_failed = [], seen.arrays
     points, failed = points_failed
     for _ in range(config.regions):
         box = failing_box(points, failed)
         if box is None:
             break
-        found.append(_confirmed(box, ask, factors, config, rng))
+        found.append(_confirmed(box, evaluate, factors, config, rng))
         outside = ~_within(points, box)
         points, failed = points[outside], failed[outside]
     return sorted(found, key=lambda region: region.p)
@@ -271,7 +271,7 @@ def _next_points(seen: _Seen, config: SearchConfig, dimensions: int, number: int
 
 
 def _confirmed(
-    box: Box, ask: Callable[[Array], Sequence[bool | None]], factors: Sequence[Factor], config: SearchConfig,
+    box: Box, evaluate: Callable[[Array], Sequence[bool | None]], factors: Sequence[Factor], config: SearchConfig,
     rng: np.random.Generator,
 ) -> Region:  # fmt: skip
     from scipy.stats import fisher_exact
@@ -285,7 +285,9 @@ def _confirmed(
             elsewhere.append(point)
         if len(elsewhere) == config.confirm:
             break
-    outcomes = [[one for one in ask(np.array(group)) if one is not None] for group in (inside, elsewhere) if len(group)]
+    outcomes = [
+        [one for one in evaluate(np.array(group)) if one is not None] for group in (inside, elsewhere) if len(group)
+    ]
     counts = [(sum(group), len(group)) for group in outcomes] + [(0, 0)]
     (a, n), (b, m) = counts[:2]
     p = float(fisher_exact([[a, n - a], [b, m - b]], alternative="greater").pvalue) if n and m else 1.0

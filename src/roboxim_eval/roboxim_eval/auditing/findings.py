@@ -13,7 +13,7 @@ from roboxim_eval.statistics.rates import success_rate
 
 TOO_EASY = 0.05
 """Lower bound of a success rate without skill above which it is a fault."""
-Said = Iterator[str]
+Statements = Iterator[str]
 """Sentences of a check; none: it passed. A sentence that begins with ``?`` says why the check was impossible."""
 
 
@@ -76,37 +76,37 @@ def _whole(probes: Probes) -> list[Trace]:
 # ------------------------------------------------------------------ repeatable
 
 
-def _same(one: Trace, two: Trace, what: str) -> Said:
+def _same(one: Trace, two: Trace, what: str) -> Statements:
     if where := one.first_difference(two):
         yield f"{what} differs: {where}"
 
 
-def _same_seed(p: Probes) -> Said:
+def _same_seed(p: Probes) -> Statements:
     yield from _same(p.first, p.again, "the same seed and actions a second time")
 
 
-def _instances(p: Probes) -> Said:
+def _instances(p: Probes) -> Statements:
     yield from _same(p.first, p.other_instance, "the same seed and actions in a second environment of the process")
 
 
-def _order(p: Probes) -> Said:
+def _order(p: Probes) -> Statements:
     yield from _same(p.first, p.after_others, "the same seed and actions after resets to other seeds")
 
 
-def _leak(p: Probes) -> Said:
+def _leak(p: Probes) -> Statements:
     yield from _same(p.first, p.after_episode, "the same seed and actions after an episode of another seed")
 
 
-def _global_random(p: Probes) -> Said:
+def _global_random(p: Probes) -> Statements:
     yield from _same(p.first, p.other_global_seed, "the same seed and actions with other global random numbers")
 
 
-def _global_state(p: Probes) -> Said:
+def _global_state(p: Probes) -> Statements:
     if p.touches_global_random:
         yield "a reset or a step changes the global generators of random or NumPy, on which other code may depend"
 
 
-def _seeds_matter(p: Probes) -> Said:
+def _seeds_matter(p: Probes) -> Statements:
     distinct = len({(trace.observations[0], trace.instruction) for trace in p.seeds.values()})
     if distinct == 1:
         yield f"{len(p.seeds)} seeds give the same first observation and instruction"
@@ -114,7 +114,7 @@ def _seeds_matter(p: Probes) -> Said:
         yield f"{len(p.seeds)} seeds give only {distinct} different first observations"
 
 
-def _unseeded(p: Probes) -> Said:
+def _unseeded(p: Probes) -> Statements:
     one, two = p.unseeded
     if one != two:
         yield "resets without a seed, after the same seeded one, differ between two runs"
@@ -125,23 +125,23 @@ def _unseeded(p: Probes) -> Said:
 # ------------------------------------------------------------------ observations and actions
 
 
-def _values(p: Probes) -> Said:
+def _values(p: Probes) -> Statements:
     for trace in (p.first, p.still, *p.seeds.values(), *_whole(p)):
         yield from trace.faults
 
 
-def _notes(p: Probes) -> Said:
+def _notes(p: Probes) -> Statements:
     yield from p.notes
 
 
-def _observes(p: Probes) -> Said:
+def _observes(p: Probes) -> Statements:
     if p.first.steps and len(set(p.first.observations)) == 1:
         yield f"{p.first.steps} random actions do not change the observation"
     elif p.first.steps and p.first.observations == p.still.observations:
         yield "random actions and no motion give the same observations: actions have no effect"
 
 
-def _clips(p: Probes) -> Said:
+def _clips(p: Probes) -> Statements:
     if p.beyond.refused:
         return
     if not p.beyond.steps:
@@ -150,7 +150,7 @@ def _clips(p: Probes) -> Said:
         yield "components of actions at twice their bounds have another effect than at their bounds, and no error"
 
 
-def _nan(p: Probes) -> Said:
+def _nan(p: Probes) -> Statements:
     if p.not_a_number is None:
         yield "? actions are whole numbers"
     elif not p.not_a_number.refused:
@@ -160,20 +160,20 @@ def _nan(p: Probes) -> Said:
 # ------------------------------------------------------------------ success and reward
 
 
-def _says_success(p: Probes) -> Said:
+def _says_success(p: Probes) -> Statements:
     if not _verdicts(_whole(p)):
         yield "no step says whether the task succeeded (is_success or success in info)"
 
 
-def _no_motion(p: Probes) -> Said:
+def _no_motion(p: Probes) -> Statements:
     yield from _without_skill(p.noop, "without motion")
 
 
-def _random(p: Probes) -> Said:
+def _random(p: Probes) -> Statements:
     yield from _without_skill(p.random, "with random actions")
 
 
-def _without_skill(traces: Sequence[Trace], how: str) -> Said:
+def _without_skill(traces: Sequence[Trace], how: str) -> Statements:
     verdicts = _verdicts(traces)
     if not verdicts:
         yield "? no episode says whether it succeeded"
@@ -181,13 +181,13 @@ def _without_skill(traces: Sequence[Trace], how: str) -> Said:
         yield f"{how} episodes succeed: {_rate(traces)}"
 
 
-def _starts_unsolved(p: Probes) -> Said:
+def _starts_unsolved(p: Probes) -> Statements:
     solved = sum(trace.start_success is True for trace in p.seeds.values())
     if solved:
         yield f"{solved} of {len(p.seeds)} resets say that the task has succeeded"
 
 
-def _reward(p: Probes) -> Said:
+def _reward(p: Probes) -> Statements:
     """Sparse rewards agree with the success step by step; of dense ones a success has the larger final one."""
     steps = [
         (reward, success)
@@ -214,7 +214,7 @@ def _reward(p: Probes) -> Said:
         yield "? no step succeeded; give a solver"
 
 
-def _keeps_success(p: Probes) -> Said:
+def _keeps_success(p: Probes) -> Statements:
     lost = [t for t in _whole(p) if any(t.successes) and t.success is False]
     if lost:
         yield (
@@ -223,13 +223,13 @@ def _keeps_success(p: Probes) -> Said:
         )
 
 
-def _ends(p: Probes) -> Said:
+def _ends(p: Probes) -> Statements:
     open_ones = sum(not trace.ended for trace in _whole(p))
     if open_ones:
         yield f"{open_ones} of {len(_whole(p))} episodes are not over after {p.limit} steps"
 
 
-def _limit(p: Probes) -> Said:
+def _limit(p: Probes) -> Statements:
     """A time limit is a truncation: learners take a termination for a state without future reward."""
     failed = [t for t in _whole(p) if t.ended and t.success is False]
     longest = {t.steps for t in failed}
@@ -237,7 +237,7 @@ def _limit(p: Probes) -> Said:
         yield f"all failed episodes terminate after {longest.pop()} steps; a time limit is to be reported as truncated"
 
 
-def _finite(p: Probes) -> Said:
+def _finite(p: Probes) -> Statements:
     if any(not math.isfinite(reward) for trace in (p.first, *_whole(p)) for reward in trace.rewards):
         yield "a reward is not finite"
 
@@ -245,7 +245,7 @@ def _finite(p: Probes) -> Said:
 # ------------------------------------------------------------------ words and replay
 
 
-def _words(p: Probes) -> Said:
+def _words(p: Probes) -> Statements:
     words = [trace.instruction for trace in p.seeds.values()]
     if all(word is None for word in words):
         yield "? the environment has no instruction"
@@ -253,7 +253,7 @@ def _words(p: Probes) -> Said:
         yield f"{sum(not (word or '').strip() for word in words)} of {len(words)} instructions are empty"
 
 
-def _words_needed(p: Probes) -> Said:
+def _words_needed(p: Probes) -> Statements:
     if not p.wordless:
         yield "? needs an environment with an instruction, and a solver"
         return
@@ -263,14 +263,14 @@ def _words_needed(p: Probes) -> Said:
         yield f"the solver succeeds as often without the instruction ({_rate(p.wordless)}): the scene reveals the task"
 
 
-def _replay(p: Probes) -> Said:
+def _replay(p: Probes) -> Statements:
     if p.replayed is None or p.solved_trace is None:
         yield "? no episode succeeded; give a solver"
     else:
         yield from _same(p.solved_trace, p.replayed, "a successful episode, its actions replayed,")
 
 
-def _scene_matters(p: Probes) -> Said:
+def _scene_matters(p: Probes) -> Statements:
     if not p.replayed_elsewhere:
         yield "? no episode succeeded; give a solver"
         return
@@ -279,7 +279,7 @@ def _scene_matters(p: Probes) -> Said:
         yield f"the actions of one episode solve other seeds without looking: {_rate(p.replayed_elsewhere)}"
 
 
-CHECKS: dict[str, Callable[[Probes], Said]] = {
+CHECKS: dict[str, Callable[[Probes], Statements]] = {
     "same_seed": _same_seed,
     "instances": _instances,
     "order": _order,

@@ -87,9 +87,9 @@ def dimension_sentence(name: str, score: CardDimension) -> str:
         ratio = f"no relative score, since the ratio of {_listed(score.refused)} is refused"
     else:
         ratio = f"{percent_text(score.relative)} of the baseline"
-    beside = f"the baseline has {rate_text(score.baseline)}, a gap of {points_text(score.gap)}"
+    baseline = f"the baseline has {rate_text(score.baseline)}, a gap of {points_text(score.gap)}"
     among = f"mean of {_listed(score.experiments)}"
-    return f"{name}: {rate_text(score.absolute)} absolute, {ratio}; {beside}; {among}."
+    return f"{name}: {rate_text(score.absolute)} absolute, {ratio}; {baseline}; {among}."
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -372,7 +372,7 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
                 tuple(need for need in needs if need in found), mix=mix_of(config, evaluation.counts, condition.set),
                 episodes=evaluation.rollouts, seed=seed, checkpoint=evaluation.checkpoint, policy=design.trainer.policy,
                 instruction=condition.instruction, latency_ticks=condition.latency_ticks,
-                max_steps=config.evaluate.max_steps, **_asked(design.trainer, bool(needs)),
+                max_steps=config.evaluate.max_steps, **_policy_inputs(design.trainer, bool(needs)),
             ))  # fmt: skip
         for of, names in points.items():
             if names or of == "evaluation":
@@ -386,7 +386,7 @@ def _exported(trainer: TrainerConfig, dataset: DatasetConfig) -> dict[str, Any]:
     return ({} if trainer.format == RLDS else {"format": trainer.format}) | ({"options": options} if options else {})
 
 
-def _asked(trainer: TrainerConfig, trained: bool) -> dict[str, Any]:
+def _policy_inputs(trainer: TrainerConfig, trained: bool) -> dict[str, Any]:
     """Return the inputs of a trained policy's evaluation that differ from the defaults: arguments, and the server."""
     given = {"policy_options": trainer.options, "serve": trainer.serve} if trained else {}
     return {name: value for name, value in given.items() if value}

@@ -155,7 +155,7 @@ def what_happened(
     return _sentence(joint.join(text for _, text in events))
 
 
-def steps_told(words: Sequence[str], done_at: Sequence[int | None], number: int, rest: str) -> str:
+def explain_steps(words: Sequence[str], done_at: Sequence[int | None], number: int, rest: str) -> str:
     """Return how far an episode of a longer task came, and what stopped it.
 
     Args:
@@ -165,10 +165,10 @@ def steps_told(words: Sequence[str], done_at: Sequence[int | None], number: int,
         rest: What happened in that step, in a sentence.
     """
     done = [f"step {k} at tick {tick}" for k, tick in enumerate(done_at, start=1) if tick is not None]
-    told = f"{len(done)} of {len(words)} steps were done" + (f" ({', '.join(done)})." if done else ".")
+    text = f"{len(done)} of {len(words)} steps were done" + (f" ({', '.join(done)})." if done else ".")
     if number:
-        told += f" Step {number}, '{words[number - 1]}', was not" + (f": {rest[:1].lower()}{rest[1:]}" if rest else ".")
-    return told
+        text += f" Step {number}, '{words[number - 1]}', was not" + (f": {rest[:1].lower()}{rest[1:]}" if rest else ".")
+    return text
 
 
 def _else(one: ConditionCourse) -> bool:

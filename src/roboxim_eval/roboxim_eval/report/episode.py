@@ -61,7 +61,7 @@ class EpisodePage:
     """``success``, ``failure`` or ``error``."""
     reason: str
     """Reason why it did not succeed."""
-    told: str
+    explanation: str
     """Description of the episode, a sentence with numbers."""
     message: str
     """Details for a person."""
@@ -191,7 +191,7 @@ def episode_text(page: EpisodePage) -> str:
         f"{page.instruction}: {page.outcome}{reason}",
         f"{page.actor}, episode {page.episode_id}, {page.steps} actions, {seconds:.1f} s",
     ]
-    lines += [text for text in (page.told, explained(page.reason) if page.reason else "", page.message) if text]
+    lines += [text for text in (page.explanation, explained(page.reason) if page.reason else "", page.message) if text]
     if page.conditions:
         cause = cause_of(page.conditions, page.reason) if page.outcome != "success" else None
         decided = " (> decided the outcome)" if cause else ""

@@ -46,7 +46,7 @@ class Episode:
     drawn: Mapping[str, str] = field(default_factory=dict)
     """Recorded factors."""
 
-    told: str = ""
+    explanation: str = ""
     """Description, a sentence with numbers; empty: unknown, or it succeeded."""
     page: str = ""
     """Path of its own page, from the folder of the page; empty: none."""
@@ -167,7 +167,7 @@ def episodes_json(episodes: Sequence[Episode], films: Iterable[int] = ()) -> Mar
         [
             texts(e.arm), e.replicate, texts(e.cell), texts(e.scene), texts(e.outcome), texts(e.reason),
             texts(e.instruction), e.steps, e.bag, e.message, int(number in shown),
-            [x for name, value in sorted(e.drawn.items()) for x in (texts(name), texts(value))], e.told, e.page,
+            [x for name, value in sorted(e.drawn.items()) for x in (texts(name), texts(value))], e.explanation, e.page,
         ]
         for number, e in enumerate(episodes)
     ]  # fmt: skip

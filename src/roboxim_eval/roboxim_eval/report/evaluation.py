@@ -47,7 +47,7 @@ from roboxim_eval.statistics.steps import step_share
 from roboxim_eval.statistics.tables import Count
 from roboxim_eval.statistics.verdicts import MARGIN, ONE_TRAINING, Verdict, checkpoint_names, checkpoint_verdict
 
-BESIDE = {
+MEASURE_NAMES = {
     "force_max_n": "largest force of a contact", "speed_max_m_s": "largest speed", "path_m": "path of the tool",
     "smoothness": "smoothness (log dimensionless jerk)", "distractors_touched": "distractors touched",
     "keep_out_s": "time in a keep-out volume",
@@ -69,7 +69,7 @@ class PolicyRun:
     """Episode id to the named draws of its reset components, e.g. ``{"interaction_area": "left"}``."""
     starts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Episode id to the place of the task's first object at tick 0: x away from the robot, y to its left [m]."""
-    told: Mapping[str, str] = field(default_factory=dict)
+    explanation: Mapping[str, str] = field(default_factory=dict)
     """Episode id to its description, a sentence with numbers."""
     pages: Mapping[str, str] = field(default_factory=dict)
     """Episode id to the path of its own page, from the page's folder."""
@@ -107,7 +107,7 @@ class PolicyRun:
                 scene=self.scene(result), outcome=result.outcome, reason=result.reason,
                 message=result.message, instruction=result.instruction, steps=result.steps,
                 bag="/".join(filter(None, (self.folder, result.bag))) if result.bag else "",
-                start=self.starts.get(result.episode_id), told=self.told.get(result.episode_id, ""),
+                start=self.starts.get(result.episode_id), explanation=self.explanation.get(result.episode_id, ""),
                 page=self.pages.get(result.episode_id, ""),
                 drawn=recorded_factors(
                     self.drawn.get(result.episode_id, {}), self.starts.get(result.episode_id)
@@ -298,7 +298,7 @@ def evaluation_page(report: Report) -> str:
         arms=[run.policy for run in measured],
         runs=[_run_view(run) for run in runs],
         value_of=shown,
-        measure_names=BESIDE,
+        measure_names=MEASURE_NAMES,
         heat=_heat_maps(measured),
         map=map_view(episodes, arms, report.place),
         patterns=scene_patterns(episodes, [run.policy for run in measured]),

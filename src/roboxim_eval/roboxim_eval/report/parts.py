@@ -66,7 +66,7 @@ def scene_patterns(episodes: Sequence[Episode], arms: Sequence[str]) -> list[tup
     for scene in met.values():
         if len(arms) > 1 and all(arm in scene for arm in arms):
             solved = [arm for arm in arms if episodes[scene[arm]].success]
-            found.setdefault(_who(solved, arms), []).extend(scene[arm] for arm in arms)
+            found.setdefault(_who_succeeded(solved, arms), []).extend(scene[arm] for arm in arms)
     order = {"all succeeded": 0, "both succeeded": 0, "neither succeeded": 2, "none succeeded": 2}
     return [
         (text, len(numbers) // len(arms), episodes_link(n=any_of(numbers)))
@@ -74,7 +74,7 @@ def scene_patterns(episodes: Sequence[Episode], arms: Sequence[str]) -> list[tup
     ]
 
 
-def _who(solved: Sequence[str], arms: Sequence[str]) -> str:
+def _who_succeeded(solved: Sequence[str], arms: Sequence[str]) -> str:
     if len(solved) in (0, len(arms)):
         words = ("neither", "both") if len(arms) == 2 else ("none", "all")
         return f"{words[bool(solved)]} succeeded"

@@ -71,7 +71,7 @@
     for (let i = 0; i < row[11].length; i += 2) drawn[text(row[11][i])] = text(row[11][i + 1]);
     return { number, arm: text(row[0]), replicate: String(row[1]), cell: text(row[2]), scene: text(row[3]), outcome: text(row[4]),
       reason: text(row[5]), instruction: text(row[6]), steps: row[7], bag: row[8], message: row[9], film: row[10], drawn,
-      told: row[12], page: row[13] };
+      explanation: row[12], page: row[13] };
   });
   const PAGE = 50, MAX_COLUMNS = 4;
   const list = document.getElementById("list"), filter = document.getElementById("filter"), search = document.getElementById("search");
@@ -112,8 +112,8 @@
 
   const explained = (episode) => {
     const body = made("div");
-    const title = made("p"); title.append(made("b", paired ? episode.arm : ""), ` ${episode.told || data.reasons[episode.reason] || ""}`); body.append(title);
-    if (episode.told && episode.reason) body.append(made("p", data.reasons[episode.reason], "soft"));
+    const title = made("p"); title.append(made("b", paired ? episode.arm : ""), ` ${episode.explanation || data.reasons[episode.reason] || ""}`); body.append(title);
+    if (episode.explanation && episode.reason) body.append(made("p", data.reasons[episode.reason], "soft"));
     if (episode.message) body.append(made("p", episode.message, "soft"));
     const drawn = Object.entries(episode.drawn).map(([name, value]) => `${name}: ${value}`).join(", ");
     if (drawn) body.append(made("p", "drawn " + drawn, "soft"));
@@ -174,7 +174,7 @@
 
   const table = () => {
     const words = (search.value || "").toLowerCase();
-    const said = (e) => [e.instruction, e.arm, e.cell, e.outcome, e.reason, e.told, ...Object.values(e.drawn)].join(" ").toLowerCase();
+    const said = (e) => [e.instruction, e.arm, e.cell, e.outcome, e.reason, e.explanation, ...Object.values(e.drawn)].join(" ").toLowerCase();
     found = groups.filter((group) => group.some((e) => wanted.every((one) => one.has(e)) && (!words || said(e).includes(words))));
     if (order.column >= 0) {
       const of = columns[order.column].of, sign = order.down ? -1 : 1;

@@ -486,7 +486,7 @@ def test_held_out_objects_beside_the_target_and_in_words_are_stated():
         shown=replace(CLEAN, models={"target": "apple"}, others={"distractor_1": "cube"}, cell="rotate target=cube")
     )
     asked = Demand(skill="pick_up", models={"target": words("cube")})
-    found = trained_on(beside, replace(TURN, asked=(asked,)))
+    found = trained_on(beside, replace(TURN, instructed=(asked,)))
     assert not found.refusal(0.0)
     assert found.statements == (
         "1 of 1 training episodes of pick_up have the object of the held-out cell 'pick_up target=cube' as a "
@@ -498,7 +498,7 @@ def test_held_out_objects_beside_the_target_and_in_words_are_stated():
 def test_words_of_the_own_cell_are_no_exposure_of_a_cell_with_other_surroundings():
     elsewhere = replace(DEMAND, areas={"target": (Allowed(lower=(0.3, 0.2), upper=(0.5, 0.3)),)})
     asked = Demand(skill="pick_up", models={"target": words("cube")})
-    episode = Trained(shown=replace(CLEAN, cell="picks right"), asked=(asked,))
+    episode = Trained(shown=replace(CLEAN, cell="picks right"), instructed=(asked,))
     assert (
         training_tally({"picks left": elsewhere, "picks right": DEMAND}, ["picks left"], {}, [episode]).statements == ()
     )

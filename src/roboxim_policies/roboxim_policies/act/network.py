@@ -67,8 +67,8 @@ class Network(eqx.Module):
         tokens = jnp.concatenate([seen.tokens, self.aim(known)[:, None]], axis=1)
         for layer in self.layers:
             tokens = layer(tokens, tokens)
-        asked = jnp.broadcast_to(self.queries, (len(tokens), *self.queries.shape))
-        answers = normalised(self.decoder(asked, tokens))
+        queries = jnp.broadcast_to(self.queries, (len(tokens), *self.queries.shape))
+        answers = normalised(self.decoder(queries, tokens))
         repeated = jnp.broadcast_to(known[:, None], (*answers.shape[:2], known.shape[-1]))
         action = self.action_head(relu_layers([self.action_trunk], jnp.concatenate([answers, repeated], axis=-1)))
         horizontal = action[..., :2] + turned(action[..., 8:], inputs.heading[:, None])

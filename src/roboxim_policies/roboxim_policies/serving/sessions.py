@@ -410,8 +410,8 @@ def request_of(
     """
     request: dict[str, Any] = {convention.prompt.key: text}
     named = {last_part(item.key): item.key for item in convention.states}
-    beside = {named[key]: value for key, value in (apart or {}).items() if key in named and value is not None}
-    request |= {key: np.ravel(np.asarray(value, dtype=float)) for key, value in beside.items()}
+    separate = {named[key]: value for key, value in (apart or {}).items() if key in named and value is not None}
+    request |= {key: np.ravel(np.asarray(value, dtype=float)) for key, value in separate.items()}
     left = dict(images)
     for image in convention.images:
         near = [image.key, last_part(image.key), image.camera]
@@ -425,7 +425,7 @@ def request_of(
         request[image.key] = left.pop(found)
     if convention.states and state is not None:
         values, start = np.ravel(np.asarray(state, dtype=float)), 0
-        for item in (item for item in convention.states if item.key not in beside):
+        for item in (item for item in convention.states if item.key not in separate):
             end = start + item.size(convention.action.joints)
             request[item.key] = values[start:end]
             start = end

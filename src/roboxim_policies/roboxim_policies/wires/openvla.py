@@ -143,11 +143,11 @@ class OpenVlaWire(Wire):
         self._secure = parts.scheme == "https"
         self._port = parts.port or (443 if self._secure else self.port)
         self._client = secrets.token_hex(8)
-        self._asked = False
+        self._requested = False
 
     def _open(self, deadline: Deadline) -> Metadata:
         """Ask for the declaration of RoboXim's own server. A wrong address is found before the first episode."""
-        self._asked = False
+        self._requested = False
         status, data = self._exchange("GET", self._path.removesuffix("/act") + DECLARATION, b"", deadline)
         if status in GATEWAY:
             raise died(f"{self.server} cannot be reached: HTTP status {status} of a gateway before it")
@@ -158,7 +158,7 @@ class OpenVlaWire(Wire):
         return {}
 
     def _alive(self) -> bool:
-        return not self._asked
+        return not self._requested
 
     def _ask(self, request: Request, deadline: Deadline) -> Answer:
         extra: dict[str, Any] = {"unnorm_key": self._unnorm_key} if self._unnorm_key else {}
@@ -195,7 +195,7 @@ class OpenVlaWire(Wire):
     def _exchange(self, method: str, path: str, body: bytes, deadline: Deadline) -> tuple[int, bytes]:
         """Send a request; return status and body of the reply, both within the deadline and the bound of a message."""
         what = f"the reply of {self.server}"
-        self._asked = self._asked or method == "POST"
+        self._requested = self._requested or method == "POST"
         connection = self._connected(deadline)
         assert connection.sock is not None
         connection.sock.settimeout(None)  # the watch ends what takes too long

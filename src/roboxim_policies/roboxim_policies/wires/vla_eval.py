@@ -127,11 +127,11 @@ def observation(request: Request, prompt_key: str, *, leave_out: Collection[str]
     }
     payload: dict[str, Any] = {"images": images, "task_description": parts.text, **parts.extras}
     if parts.numbers and "send_state" not in leave_out:
-        beside = {key: value for key, value in parts.numbers.items() if last_part(key) == CONTROLLER_STATES}
-        states = [np.ravel(value) for key, value in parts.numbers.items() if key not in beside]
+        controller = {key: value for key, value in parts.numbers.items() if last_part(key) == CONTROLLER_STATES}
+        states = [np.ravel(value) for key, value in parts.numbers.items() if key not in controller]
         if states:
             payload["states"] = np.concatenate(states).astype("<f4")
-        for value in beside.values():
+        for value in controller.values():
             payload[CONTROLLER_STATES] = np.ravel(value).astype("<f4")
     return payload
 

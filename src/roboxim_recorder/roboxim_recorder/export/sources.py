@@ -106,9 +106,9 @@ def by_actor(source: Source, actor: ActedBy) -> tuple[Source, ...]:
     actors = source.actors or _actors(source)
     found: list[tuple[int, int]] = []
     steps = range(source.first, source.first + source.steps)
-    for who, group in groupby(steps, key=actors.__getitem__):
+    for acting, group in groupby(steps, key=actors.__getitem__):
         stretch = list(group)
-        if who == actor:
+        if acting == actor:
             found.append((stretch[0], stretch[-1]))
     if found == [(source.first, source.first + source.steps - 1)]:
         return (source,)

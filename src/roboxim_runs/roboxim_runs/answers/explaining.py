@@ -88,7 +88,7 @@ def explain(
     found = explanation(as_it_was, singles)
     if found.kind != "none" or not config.pairs:
         return found
-    pairs = [both(one, two) for one, two in itertools.combinations(_promising(changes, singles), 2)][:MAX_PAIRS]
+    pairs = [both(one, two) for one, two in itertools.combinations(_likely(changes, singles), 2)][:MAX_PAIRS]
     return explanation(as_it_was, singles, list(tallies(pairs)))
 
 
@@ -99,7 +99,7 @@ def _enough(repeats: int, as_it_was: Tally, changes: int) -> int:
     return next(enough, 2 * repeats)
 
 
-def _promising(changes: Iterable[Change], singles: Sequence[Tally]) -> list[Change]:
+def _likely(changes: Iterable[Change], singles: Sequence[Tally]) -> list[Change]:
     """Return the changes whose episodes began, those with successes first."""
     successes = {tally.name: tally.successes for tally in singles}
     return sorted((c for c in changes if c.name in successes), key=lambda c: -successes[c.name])

@@ -177,13 +177,13 @@ class TryBench:
         """
         from roboxim_bringup.core_graph import CoreRecorder
 
-        keeper = StateKeeper(self.graph.sim)
-        recorder = keeper if bags is None else CoreRecorder(self.graph.sim, bags.absolute())
+        recorder_of_states = StateKeeper(self.graph.sim)
+        recorder = recorder_of_states if bags is None else CoreRecorder(self.graph.sim, bags.absolute())
         given = replace(config or RunConfig(), output_dir=IN_MEMORY)
         runner = episode_loop(self.graph, draw, actor, recorder, config=given, sim=sim)
         self.runs += 1
         result = runner.run_attempt(seed)
-        return Try(result=result, states=tuple(keeper.states), info=keeper.info)
+        return Try(result=result, states=tuple(recorder_of_states.states), info=recorder_of_states.info)
 
 
 def seed_of(info: EpisodeInfo) -> SeedPath:

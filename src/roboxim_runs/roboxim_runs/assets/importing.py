@@ -154,7 +154,7 @@ class _Import:
         parts = convex_parts(solid, EFFORTS[self.options.effort])
         model = self._stage(scene, solid, parts)
         self._step("dropping it")
-        scene, solid, parts, model = self._stood(scene, solid, parts, rest_poses(model))
+        scene, solid, parts, model = self._standing(scene, solid, parts, rest_poses(model))
         rests = rest_poses(model)
         regions = regions_of(parts)
         self._step("searching grasps")
@@ -162,7 +162,7 @@ class _Import:
             solid, model, max_opening_m=self._opening_m, enough=self.options.grasps, tries=self.options.tries,
             make=floating(self.options.gripper), on_try=lambda tried: self._step(f"searching grasps: {tried} tried"),
         )  # fmt: skip
-        self._tell(model, parts, search, regions)
+        self._report(model, parts, search, regions)
         self._stage(scene, solid, parts, notes=self._notes(model, rests, regions, search))
         found = check(str(self.folder / f"{self.id}.yaml"), _library())
         self.report += [f"check: {finding.severity}: {finding.message}" for finding in found]
@@ -226,7 +226,7 @@ class _Import:
         path.write_text(head + "".join(f"# {line}\n" for line in self.report) + f"name: {json.dumps(noun)}\n{text}")
         return load_config(path, ObjectConfig).model(self.id, self.folder)
 
-    def _stood(
+    def _standing(
         self, scene: Any, solid: trimesh.Trimesh, parts: list[trimesh.Trimesh], rests: list[RestPose]
     ) -> tuple[Any, trimesh.Trimesh, list[trimesh.Trimesh], ObjectModel]:
         """Return the meshes turned so that the object stands: as in the file if it can, else as it rests most often."""
@@ -282,7 +282,7 @@ class _Import:
             notes["toppled"] = [_plain_pose(rest.pose) for rest in toppled]
         return notes
 
-    def _tell(self, model: ObjectModel, parts: list[trimesh.Trimesh], search: Search, regions: list[Region]) -> None:
+    def _report(self, model: ObjectModel, parts: list[trimesh.Trimesh], search: Search, regions: list[Region]) -> None:
         mass = model.links[0].mass
         given = "as given" if self.options.mass_kg else f"a guess by {DENSITY:g} kg/m^3; weigh it"
         self.report.append(f"mass: {mass:.3g} kg ({given}); {len(parts)} convex part(s)")

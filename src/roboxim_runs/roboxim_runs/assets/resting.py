@@ -66,7 +66,7 @@ def rest_poses(model: ObjectModel, drops: int = DROPS, on_drop: Callable[[], Non
         else:
             group.append(end)
     groups.sort(key=len, reverse=True)
-    return [RestPose(pose=_unturned(group[0]), share=len(group) / drops) for group in groups]
+    return [RestPose(pose=_without_yaw(group[0]), share=len(group) / drops) for group in groups]
 
 
 def _drop(client: BulletClient, model: ObjectModel, turn: Rotation) -> Pose | None:
@@ -98,7 +98,7 @@ def _between(one: Array, other: Array) -> float:
     return float(np.arccos(np.clip(one @ other, -1.0, 1.0)))
 
 
-def _unturned(pose: Pose) -> Pose:
+def _without_yaw(pose: Pose) -> Pose:
     """Return a pose without its yaw, at x = y = 0."""
     up = _up(pose)
     turn, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])

@@ -257,15 +257,15 @@ class BagTruth:
         if self._ports.segmentation is None:
             return None
         scene, task = self.info.scene, self.info.task
-        rivals = [pair for thing in task_objects(task) for pair in self._rivals(thing)]
-        if not rivals or not scene.cameras:
+        pairs = [pair for thing in task_objects(task) for pair in self._alike(thing)]
+        if not pairs or not scene.cameras:
             return ()
         first = next(iter(self._reader.ticks()))
         masked = replace(scene, cameras=tuple(replace(c, depth=False, segmentation=True) for c in scene.cameras))
         masks = self._ports.segmentation.segment(masked, first.state)
         ids = {name: number for number, name in enumerate(drawn_entities(masked), start=1)}
         found = []
-        for named, other in rivals:
+        for named, other in pairs:
             for camera, image in first.images.items():
                 areas = [image[masks[camera] == ids[thing.entity]] for thing in (named, other)]
                 if min(map(len, areas)) >= MIN_PIXELS:
@@ -277,15 +277,19 @@ class BagTruth:
                     )
         return tuple(found)
 
-    def _rivals(self, named: PhysicalObject) -> Iterator[tuple[PhysicalObject, PhysicalObject]]:
+    def _alike(self, named: PhysicalObject) -> Iterator[tuple[PhysicalObject, PhysicalObject]]:
         """Yield the objects that only a colour or a material distinguishes from a named one."""
         library, scene = self._ports.library, self.info.scene
         others = task_objects(self.info.task)
         done = {thing.entity for thing in others[: others.index(named) + 1]}
-        mine = library.entity_model(scene.entity(named.entity))
+        model_of_named = library.entity_model(scene.entity(named.entity))
         for entity in scene.entities:
             model = library.entity_model(entity)
-            if entity.name not in done and model.name == mine.name and _same_size(model.size, mine.size):
+            if (
+                entity.name not in done
+                and model.name == model_of_named.name
+                and _same_size(model.size, model_of_named.size)
+            ):
                 yield (
                     named,
                     PhysicalObject(entity=entity.name, model=entity.model, name=model.name, modifiers=entity.modifiers),

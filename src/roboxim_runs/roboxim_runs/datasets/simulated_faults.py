@@ -145,16 +145,16 @@ class InaccurateControl(SimulatedFault):
                 continue
             tick = int(far[-1])
             onward = (tcp[touch] - tcp[tick]) / distance[tick]
-            for beside in _across(onward, rng):
+            for sideways in _across(onward, rng):
                 gripper = recorded.states[tick].robot.gripper_command
                 opens = gripper >= 0.5
                 miss = [
-                    *_moves(0.03 * beside, 2, gripper),
+                    *_moves(0.03 * sideways, 2, gripper),
                     *(_moves(np.zeros(3), 5, 0.0) if opens else ()),
                     *(_moves(np.zeros(3), 5, gripper) if opens else ()),
                     *_moves(-0.05 * onward, 3, gripper),
                     *_moves(0.05 * onward, 3, gripper),
-                    *_moves(-0.03 * beside, 2, gripper),
+                    *_moves(-0.03 * sideways, 2, gripper),
                 ]
                 acts = (*acting[:tick], *miss, *acting[tick:], *settling)
                 yield Plan(scene=recorded.info.scene, acts=acts, text=f"a miss at tick {tick}")

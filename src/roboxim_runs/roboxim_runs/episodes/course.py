@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
-from roboxim_eval.report.course import ConditionCourse, steps_told, what_happened
+from roboxim_eval.report.course import ConditionCourse, explain_steps, what_happened
 from roboxim_recorder.bag import BagReader, BagTick
 from roboxim_tasks.judging import Judge
 from roboxim_tasks.measures import Condition, Conditions
@@ -95,7 +95,7 @@ class Course:
                 )  # fmt: skip
 
     @property
-    def told(self) -> str:
+    def explanation(self) -> str:
         """What happened, in a sentence with numbers; empty for a success.
 
         Raises:
@@ -105,14 +105,14 @@ class Course:
             return ""
         words = self.info.task.step_words
         held = max(tick.step.verdict.predicates.get("held_s", 0.0) for tick in self.ticks)
-        told = what_happened(
+        explanation = what_happened(
             self.conditions, solved=False, reason=self.result.reason, hold_s=self.judge.hold_s, held_s=held
         )
         if not words:
-            return told
+            return explanation
         done = [
             [bool(t.step.verdict.predicates.get(f"step_{k}_done")) for t in self.ticks] for k, _ in enumerate(words, 1)
         ]
         since = [len(of) - of[::-1].index(False) if False in of else 0 for of in done]
         ends = [tick if of[-1] else None for tick, of in zip(since, done, strict=True)]
-        return steps_told(words, ends, self.failed_step, told)
+        return explain_steps(words, ends, self.failed_step, explanation)

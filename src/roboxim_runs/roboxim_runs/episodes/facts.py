@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ class EpisodeFacts:
     """Named draws of its reset components."""
     start: tuple[float, float] | None = None
     """Place of the task's first object at the start: x away from the robot, y to its left [m]; none: it has none."""
-    told: str = ""
+    explanation: str = ""
     """What happened, in a sentence with numbers; empty: it succeeded, or its conditions are unknown here."""
     scene: str = ""
     """Hash of task and scene without words and image sizes, the same in every run that met the scene;
@@ -63,13 +63,13 @@ def episode_facts(
         RecorderError: With code ``BAG_DAMAGED`` when a bag is not whole, or ended otherwise than its result says.
     """
     log = ResultsLog(folder / FACTS_FILE)
-    found = {entry.key: from_plain(entry.data, EpisodeFacts, source=str(log.path)) for entry in log.read()}
+    found = {entry.key: _loaded(entry.data, str(log.path)) for entry in log.read()}
     bags = folder if bags is None else bags
     for result in results:
         known = result.episode_id in found and found[result.episode_id].scene
         if not known and result.bag and (bags / result.bag).exists():
             found[result.episode_id] = _facts(bags / result.bag)
-            log.append(result.episode_id, to_plain(found[result.episode_id]))
+            log.append(result.episode_id, _stored(found[result.episode_id]))
         facts = found.get(result.episode_id)
         if facts and facts.ended not in ("", ended(result)):
             raise RecorderError(
@@ -79,6 +79,17 @@ def episode_facts(
                 ErrorCode.BAG_DAMAGED,
             )
     return found
+
+
+def _stored(facts: EpisodeFacts) -> dict[str, Any]:
+    """Return facts as they are stored: the explanation is ``told`` there, as in the files of earlier versions."""
+    return {"told" if name == "explanation" else name: value for name, value in to_plain(facts).items()}
+
+
+def _loaded(stored: Mapping[str, Any], source: str) -> EpisodeFacts:
+    plain = {"explanation" if name == "told" else name: value for name, value in stored.items()}
+    facts: EpisodeFacts = from_plain(plain, EpisodeFacts, source=source)
+    return facts
 
 
 def ended(result: EpisodeResult) -> str:
@@ -106,12 +117,13 @@ def _facts(bag: Path) -> EpisodeFacts:
 
     reader = BagReader(bag)
     info, (x, y, _), table = reader.info, reader.info.scene.robot.pose.position, reader.info.scene.table
-    told = ""
+    explanation = ""
     if reader.result.outcome == "failure":
         with contextlib.suppress(TaskError, ConfigError):  # a skill that this program does not have
-            told = Course.of(bag).told
+            explanation = Course.of(bag).explanation
     return EpisodeFacts(
-        episode_id=info.episode_id, drawn=dict(info.task.drawn), start=_start(info), told=told, scene=scene_hash(info),
+        episode_id=info.episode_id, drawn=dict(info.task.drawn), start=_start(info),
+        explanation=explanation, scene=scene_hash(info),
         robot=(float(x), float(y)), table=(table.center[0], table.center[1], table.size[0], table.size[1]),
         ended=ended(reader.result),
     )  # fmt: skip

@@ -296,10 +296,16 @@ def rerender(
         before = total - sum(map(len, missing.values()))
         with reporter.stage("rendering", total, "ticks", before) as progress:
             progress(before)
-            heard = _Ticks(before, progress, reporter)
+            ticks = _Ticks(before, progress, reporter)
             if missing:
                 _render(
-                    missing, folder, config, workers, executor=executor, cancellation=cancellation, on_note=heard.hear
+                    missing,
+                    folder,
+                    config,
+                    workers,
+                    executor=executor,
+                    cancellation=cancellation,
+                    on_note=ticks.receive,
                 )
     library = ModelLibrary()
     changed = {model for reader in episodes.values() for model in library.changed(reader.info.models)}
@@ -313,7 +319,7 @@ class _Ticks:
         self._before, self._progress, self._reporter = before, progress, reporter
         self._of_bag: Counter[str] = Counter()
 
-    def hear(self, note: Note) -> None:
+    def receive(self, note: Note) -> None:
         if note.text:
             self._of_bag[note.key] = 0
             self._reporter.notice(note.text)

@@ -385,8 +385,8 @@ def run_episodes(
         total = len(job.indices)
         facts = {"title": title, "executor": type(executor).__name__.removesuffix("Executor").lower()}
         outcomes = Counter(result.outcome for result in done.values())
-        with logged(folder.path / EVENTS_FILE, on_event, **facts, workers=job.workers, total=total) as tell:
-            reporter, upload = Reporter(tell), RunUpload(folder.path, job.store, shard=str(job.shard))
+        with logged(folder.path / EVENTS_FILE, on_event, **facts, workers=job.workers, total=total) as report:
+            reporter, upload = Reporter(report), RunUpload(folder.path, job.store, shard=str(job.shard))
             with reporter.stage(title, total, done=len(done)) as progress:
                 progress(len(done), note="starting")
                 for result in _results(executor, job, missing, environment, folder, reporter, cancellation, prepare):
@@ -395,7 +395,7 @@ def run_episodes(
                     done[result.index] = result
                     outcomes[result.outcome] += result.played
                     progress(len(done), note=f"{outcomes['success']} of {outcomes.total()} succeeded")
-                    tell(EpisodeFinished(folder=folder.path, result=result))
+                    report(EpisodeFinished(folder=folder.path, result=result))
                 upload.all()
         clear_staging(folder)
         return [done[index] for index in sorted(done)]
@@ -423,13 +423,13 @@ def _results(
 ) -> Iterator[EpisodeResult]:
     waiting = Waiting()
 
-    def hear(note: Note) -> None:
+    def receive(note: Note) -> None:
         for text in (note.text, waiting.notice(note)):
             reporter.notice(text)
 
     staged = bool(getattr(executor, "staged", False)) or bool(job.store)
     outcomes = executor.run(
-        job.work(environment, staged=staged), episode_jobs(indices), on_note=hear,
+        job.work(environment, staged=staged), episode_jobs(indices), on_note=receive,
         before_retry=lambda key: folder.discard([index_of(key)]), cancellation=cancellation, prepare=prepare,
     )  # fmt: skip
     for outcome in outcomes:

@@ -73,9 +73,9 @@ def shown_episode(
     course = _course(bag)
     info, result, notes = course.info, course.result, []
     try:
-        conditions, told = course.conditions, course.told
+        conditions, explanation = course.conditions, course.explanation
     except (TaskError, ConfigError) as error:  # of a skill that this program does not have
-        conditions, told = (), ""
+        conditions, explanation = (), ""
         notes.append(f"What it was judged by is not known here: {error}")
     log, log_note = printed(run or bag.parent.parent, result.index)
     where = shlex.quote(shown_as or str(bag))
@@ -86,8 +86,9 @@ def shown_episode(
     )
     return EpisodePage(
         episode_id=info.episode_id, actor=name or info.actor, instruction=info.task.instruction or info.task.skill,
-        outcome=result.outcome, reason=result.reason, told=told, message=result.message, steps=result.steps,
-        ticks=len(course.ticks), tick_s=1.0 / info.scene.control_rate_hz, conditions=conditions,
+        outcome=result.outcome, reason=result.reason, explanation=explanation,
+        message=result.message, steps=result.steps, ticks=len(course.ticks),
+        tick_s=1.0 / info.scene.control_rate_hz, conditions=conditions,
         signals=signals_of(course), held=held_objects(info), facts=_facts(info), commands=commands,
         film=_full(bag, films), others=[_other(one, films) for one in others],
         nobody="" if others else NOBODY.format(where), log=log, log_note=log_note, notes=notes,
@@ -131,11 +132,11 @@ def _full(bag: Path, films: FilmOptions | None) -> Film | None:
 def _other(other: Other, films: FilmOptions | None) -> OtherWay:
     course = _course(other.bag)
     try:
-        told = course.told
+        explanation = course.explanation
     except (TaskError, ConfigError):  # the page of the episode itself says so
-        told = ""
+        explanation = ""
     return OtherWay(
-        name=other.name, outcome=course.result.outcome, text=told or f"{course.result.steps} actions.",
+        name=other.name, outcome=course.result.outcome, text=explanation or f"{course.result.steps} actions.",
         film=_full(other.bag, films), link=other.link,
     )  # fmt: skip
 

@@ -57,7 +57,7 @@ class EpisodeWorker:
         self._config = config
         self._served = bool(settings.get("served"))
         self._wait_s = float(settings.get("server_wait_s", 0.0))
-        self._heard = time.monotonic()
+        self._alive_at = time.monotonic()
         self._host = NodeHost()
         self._episodes = ThreadPoolExecutor(1, "episodes")
         try:
@@ -92,29 +92,29 @@ class EpisodeWorker:
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             time.sleep(min(left, LOOK_S))
-            self._heard = time.monotonic()
+            self._alive_at = time.monotonic()
             self._check()
 
     def _tried(self, job: int, note: Callable[[Any], None]) -> EpisodeResult:
         """Run the episode of an index once."""
 
-        def hear(episode: str, seq: int) -> None:
-            self._heard = time.monotonic()
+        def alive(episode: str, seq: int) -> None:
+            self._alive_at = time.monotonic()
             note({"index": job, "episode_id": episode, "seq": seq})
 
-        self._heard = time.monotonic()
+        self._alive_at = time.monotonic()
         try:
-            return self._result(job, hear)
+            return self._result(job, alive)
         except RoboximError as error:
             if error.code in WORKER_FAULTS:
                 raise WorkerBrokenError(str(error)) from None
             raise
 
-    def _result(self, job: int, hear: Callable[[str, int], None]) -> EpisodeResult:
+    def _result(self, job: int, alive: Callable[[str, int], None]) -> EpisodeResult:
         """Run the episode in the thread of episodes, and watch over the graph meanwhile."""
         given_up = threading.Event()
         try:
-            found = self._episodes.submit(self._episode, job, hear, given_up)
+            found = self._episodes.submit(self._episode, job, alive, given_up)
             while not wait([found], LOOK_S).done:
                 self._check()
         except BaseException:
@@ -122,10 +122,10 @@ class EpisodeWorker:
             raise
         return found.result()
 
-    def _episode(self, job: int, hear: Callable[[str, int], None], given_up: threading.Event) -> EpisodeResult:
+    def _episode(self, job: int, alive: Callable[[str, int], None], given_up: threading.Event) -> EpisodeResult:
         sys.stdout.write(f"{EPISODE_MARK.format(job)}\n")  # into the worker's log, before what the policy prints
         sys.stdout.flush()
-        call = self._clients.send_local(RUN_EPISODES, self._config, [job], hear, given_up.is_set)
+        call = self._clients.send_local(RUN_EPISODES, self._config, [job], alive, given_up.is_set)
         if call is None:
             raise UnavailableError("the worker's own evaluator has ended")
         results: list[EpisodeResult] = self._clients.value_of(call, RUN_EPISODES, 0.0)  # it ran in this thread
@@ -135,7 +135,7 @@ class EpisodeWorker:
         """Raise when the graph can no longer answer."""
         if not self._host.alive():
             raise WorkerBrokenError(f"node {', '.join(self._host.dead())} has died; its traceback is in the log")
-        if time.monotonic() - self._heard > STALL_S:
+        if time.monotonic() - self._alive_at > STALL_S:
             raise WorkerBrokenError(f"no message from its graph for {STALL_S:g} s")
 
     def close(self) -> None:

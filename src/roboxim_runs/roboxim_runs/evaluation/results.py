@@ -70,7 +70,7 @@ class PolicyResult:
         return step_share(self.results)
 
     @property
-    def beside(self) -> Beside | None:
+    def measures(self) -> Beside | None:
         """Force, speed, path, smoothness and crossed limits; none: no task has ``limits``."""
         from roboxim_eval.statistics.beside import beside_success
 
@@ -197,7 +197,7 @@ def rate_line(results: Sequence[EpisodeResult]) -> str:
     if not is_measured(results):
         return errors
     steps = step_share(results)
-    beside = beside_success(results)
-    limits = str(beside) if beside and beside.crossed else ""
+    measures = beside_success(results)
+    limits = str(measures) if measures and measures.crossed else ""
     parts = [str(rate_of(results)), str(steps) if steps else "", limits, errors]
     return "; ".join(filter(None, parts))

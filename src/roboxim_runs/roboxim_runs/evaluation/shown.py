@@ -156,7 +156,7 @@ def _run(
         pages=pages, trained=trained, scenes=scenes,
         drawn={key: one.drawn for key, one in facts.items()},
         starts={key: one.start for key, one in facts.items() if one.start is not None},
-        told={key: one.told for key, one in facts.items() if one.told},
+        explanation={key: one.explanation for key, one in facts.items() if one.explanation},
     )  # fmt: skip
 
 

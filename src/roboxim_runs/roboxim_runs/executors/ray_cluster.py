@@ -108,7 +108,7 @@ class RayExecutor(PooledExecutor):
             UnavailableError: When there is no cluster at the address.
         """
         with _connected(self.address, self.workers) as ray:
-            yield partial(_RayPlace, ray, self, _Crew())
+            yield partial(_RayPlace, ray, self, _PlacedWorkers())
 
 
 def _import_ray() -> Any:
@@ -162,7 +162,7 @@ def _own_cluster(workers: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-class _Crew:
+class _PlacedWorkers:
     """The workers of a run that have a node. As long as there are any, further workers may wait for a node."""
 
     def __init__(self) -> None:
@@ -181,10 +181,16 @@ class _RayPlace:
     """A worker behind an actor; a `roboxim_runs.executors.pool.Place`."""
 
     def __init__(
-        self, ray: Any, executor: RayExecutor, crew: _Crew, work: Work, number: int, closing: threading.Event
-    ) -> None:  # fmt: skip
+        self,
+        ray: Any,
+        executor: RayExecutor,
+        placed_workers: _PlacedWorkers,
+        work: Work,
+        number: int,
+        closing: threading.Event,
+    ) -> None:
         self.log = "not started"
-        self._ray, self._executor, self._crew = ray, executor, crew
+        self._ray, self._executor, self._placed_workers = ray, executor, placed_workers
         self._work, self._number, self._closing = work, number, closing
         self._actor: Any = None
         self._placed = self._lost = self._killed = False
@@ -201,7 +207,7 @@ class _RayPlace:
         self._actor = remote.remote(asdict(self._work), self._number, self._executor.stall_s, os.getcwd())
         facts = self._answer(self._actor.facts.remote(), PLACED_S, waiting_for="a node with free resources")
         self._placed = True
-        self._crew.change(1)
+        self._placed_workers.change(1)
         ours = software()
         if facts["software"] != ours:
             changes = [f"{n}: {v} there, {ours[n]} here" for n, v in facts["software"].items() if v != ours[n]]
@@ -234,7 +240,7 @@ class _RayPlace:
     def end(self) -> bool:
         actor, self._actor = self._actor, None
         placed, self._placed = self._placed, False
-        self._crew.change(-int(placed))
+        self._placed_workers.change(-int(placed))
         if actor is not None and not self._lost:
             with contextlib.suppress(Exception):
                 if placed:
@@ -254,7 +260,7 @@ class _RayPlace:
             while not self._ray.wait([reference], timeout=0.2)[0]:
                 if self._closing.is_set():
                     raise ClosingError
-                if waiting_for and self._crew:
+                if waiting_for and self._placed_workers:
                     deadline = time.monotonic() + within_s
                 if time.monotonic() > deadline:
                     if waiting_for:

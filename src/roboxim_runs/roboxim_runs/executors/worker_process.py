@@ -71,7 +71,7 @@ class WorkerProcess:
         self._work, self._number, self._stall_s, self._closing = work, number, stall_s, closing
         self._inherited, self._folder = inherited, folder
         self._connection: Connection[Any, Any] | None = None
-        self._heard = 0.0
+        self._received_at = 0.0
         self._kept = kept if work.leaves_nothing else None
         self._idle = False
 
@@ -175,9 +175,9 @@ class WorkerProcess:
         """
         assert self._connection is not None
         assert self.process is not None
-        self._heard = time.monotonic()
+        self._received_at = time.monotonic()
         while not self._connection.poll(0.1):
-            silence = time.monotonic() - self._heard
+            silence = time.monotonic() - self._received_at
             if self._closing.is_set():
                 raise ClosingError
             if self.process.poll() is not None:

@@ -227,11 +227,11 @@ def checked_design(name: str, config: ExperimentConfig, trainer: str = "") -> De
     for number, change in enumerate(changes):
         if change not in changes[:number]:  # all mixes consist of these cells, with other counts
             task_mix(mix_of(config, once, change), source=f"experiment '{name}'")
-    _require_told_apart(name, design)
+    _require_distinguishable(name, design)
     return design
 
 
-def _require_told_apart(name: str, design: Design) -> None:
+def _require_distinguishable(name: str, design: Design) -> None:
     """Refuse an experiment whose demonstrations would be taken for those of a held-out cell.
 
     Raises:

@@ -55,8 +55,8 @@ def plan_lines(name: str, scale: str, design: Design, rates: Rates | None, train
         steps = f"{design.steps:,} steps in all" if design.steps else "steps unknown"
         where = "" if design.trainer.command else ", elsewhere: name each policy with --policy CONDITION.R=SPEC"
         at_once = trainings_at_once(design, trainings)
-        beside = f", {at_once} at a time" if at_once > 1 else ""
-        yield f"  trainings       {len(design.trainings)}, {steps}{beside}{where}"
+        parallel = f", {at_once} at a time" if at_once > 1 else ""
+        yield f"  trainings       {len(design.trainings)}, {steps}{parallel}{where}"
     yield f"  rollouts        {design.rollouts:,} of {len(design.evaluations)} policies"
     cost = known_cost(design, rates, trainings)
     yield f"  time            {_unknown(design, rates, trainings) if cost is None else time_text(cost)}"

@@ -24,7 +24,7 @@ from roboxim_runs.storage.store import file_sha256
 ATTEST_FILE = "attest.yaml"
 ORIGIN = "ran"
 """Key of a line of ``stages.jsonl`` with what the stage ran with, an `Origin`."""
-UNSAID = ("", 0, None)
+UNSTATED = ("", 0, None)
 """Values of a recipe that say nothing: those of the template."""
 UNKNOWN = "unknown"
 """How statements name what lines of older versions do not state."""
@@ -232,7 +232,7 @@ class Attestations:
                 raise ConfigError(f"{ATTEST_FILE}: trainings.{key}.recipe must be a mapping, got {recipe!r}")
             attested = {**attested, **own, "recipe": {**attested["recipe"], **recipe}}  # type: ignore[dict-item]
         attest: Attestation = from_plain(attested, Attestation, source=f"{ATTEST_FILE}, training {name}")
-        recipe = {key: value for key, value in attest.recipe.items() if value not in UNSAID}
+        recipe = {key: value for key, value in attest.recipe.items() if value not in UNSTATED}
         if attest.dataset_sha256 and dataset_sha256 and attest.dataset_sha256 != dataset_sha256:
             raise ConfigError(
                 f"{ATTEST_FILE}: training {name} used a dataset with hash {attest.dataset_sha256}, not the one that "

@@ -341,7 +341,7 @@ def _episodes(
             arm=arm, replicate=replicate, cell=cell, scene=str(number), outcome=result.outcome,
             reason=result.reason, message=result.message, instruction=result.instruction, steps=result.steps,
             bag=bag.relative_to(folder.path).as_posix() if bag is not None and bag.exists() else "",
-            start=mine.start if mine else None, told=mine.told if mine else "",
+            start=mine.start if mine else None, explanation=mine.explanation if mine else "",
             drawn=recorded_factors(mine.drawn, mine.start) if mine else {},
         ))  # fmt: skip
     return found

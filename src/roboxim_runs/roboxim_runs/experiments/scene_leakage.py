@@ -31,17 +31,17 @@ def scene_leakage(design: Design) -> tuple[str, ...]:
         ConfigError: When a task file is missing or invalid.
     """
     tasks = tasks_of(design)
-    return (*_told_objects(tasks), *_told_places(tasks), *_told_tasks(tasks), *_not_substituted(design))
+    return (*_objects_revealed(tasks), *_places_revealed(tasks), *_tasks_revealed(tasks), *_not_substituted(design))
 
 
-def _told_objects(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
+def _objects_revealed(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
     revealing = [name for name, mine in tasks.items() if not any(t.distractors.maximum for t in mine) and _vary(mine)]
     if revealing:
         where = "No scene" if len(revealing) == len(tasks) else f"No scene of {' and '.join(revealing)}"
         yield f"{where} has distractors, so that the scene alone tells which object is meant."
 
 
-def _told_places(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
+def _places_revealed(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
     named = {model for mine in tasks.values() for task in mine for model in _named(task)}
     wider = [name for name, mine in tasks.items() if any(_lie_elsewhere(task) & named for task in mine)]
     if wider:
@@ -63,7 +63,7 @@ def _vary(tasks: Sequence[TaskConfig]) -> bool:
     return any(len({m for task in tasks for m in task.objects[role].models.values}) > 1 for role in tasks[0].objects)
 
 
-def _told_tasks(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
+def _tasks_revealed(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
     for name, mine in tasks.items():
         elsewhere = {model for other, theirs in tasks.items() if other != name for t in theirs for model in _models(t)}
         for role in mine[0].objects:

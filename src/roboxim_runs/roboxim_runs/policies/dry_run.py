@@ -22,7 +22,7 @@ from roboxim_policies.remote import RemotePolicy
 from roboxim_runs.episodes.expert_episode import ExpertEpisode, expert_episode
 from roboxim_runs.policies.sketch import Sketch
 
-ASKED = 6
+DRY_RUN_TICKS = 6
 """Number of ticks of the expert's episode at which the policy is called."""
 LABEL_PX = 20
 COLUMN_PX = 310
@@ -73,7 +73,7 @@ def check_policy(
         task_config, cameras=convention.cameras, rate_hz=convention.rate_hz, seed=seed, renderer=renderer
     )
     on_step("asking the policy")
-    ticks = sorted({int(tick) for tick in np.linspace(0, len(episode.actions) - 1, ASKED)})
+    ticks = sorted({int(tick) for tick in np.linspace(0, len(episode.actions) - 1, DRY_RUN_TICKS)})
     policy.reset(EpisodeStart(episode_id=episode.result.episode_id, instruction=episode.instruction, seed=seed))
     requests = [policy.request(episode.window(tick, convention.window)) for tick in ticks]
     raw = [policy.raw(episode.window(tick, convention.window)) for tick in ticks]

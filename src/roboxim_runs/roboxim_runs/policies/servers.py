@@ -104,12 +104,12 @@ class PolicyServers:
     def with_notices(self, on_event: OnEvent) -> OnEvent:
         """Return a receiver of events that also receives, in its own thread, what happened to the servers."""
 
-        def tell(event: Event) -> None:
+        def receive(event: Event) -> None:
             while self._notices:
                 on_event(Notice(text=self._notices.pop(0)))
             on_event(event)
 
-        return tell
+        return receive
 
     def prepared(self, work: Work, number: int, closing: threading.Event) -> Work:
         """Return the work of an episode worker whose policy is behind a server; waits for one.
@@ -152,7 +152,7 @@ class PolicyServers:
             while True:
                 began = time.monotonic()
                 (outcome,) = self._executors[number].run(
-                    work, [Job(key=title)], on_note=lambda note: self._hear(number, note),
+                    work, [Job(key=title)], on_note=lambda note: self._receive(number, note),
                     before_retry=lambda _: self._set(number, None), cancellation=self._stop,
                 )  # fmt: skip
                 self._set(number, None)
@@ -165,7 +165,7 @@ class PolicyServers:
                 self._error = error
                 self._changed.notify_all()
 
-    def _hear(self, number: int, note: Note) -> None:
+    def _receive(self, number: int, note: Note) -> None:
         if note.text:
             self._notices.append(note.text)
         elif isinstance(note.data, dict) and "url" in note.data:

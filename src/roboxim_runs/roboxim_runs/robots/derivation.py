@@ -40,14 +40,16 @@ JERK_TIME_S = 0.05
 """Time in which an acceleration is reached when no jerk is given [s]."""
 
 
-def derive(recipe: RobotRecipe, out: Path, *, folder: Path | None = None, say: Callable[[str], None] = print) -> Path:
+def derive(
+    recipe: RobotRecipe, out: Path, *, folder: Path | None = None, report: Callable[[str], None] = print
+) -> Path:
     """Write a robot's folder and its YAML file.
 
     Args:
         recipe: What to do.
         out: Folder ``robots`` of a configuration folder; receives ``NAME/`` and ``NAME.yaml``.
         folder: Folder that the recipe's ``urdf`` is relative to; none: the working directory.
-        say: Receives a line for each step.
+        report: Receives a line for each step.
 
     Returns:
         The YAML file.
@@ -69,10 +71,10 @@ def derive(recipe: RobotRecipe, out: Path, *, folder: Path | None = None, say: C
     for kind in ("visual", "collision"):
         (inside / kind).mkdir(parents=True)
     try:
-        say(f"{len(arm.joints)} joints from {arm.base} to {arm.flange}: {', '.join(arm.joints)}")
+        report(f"{len(arm.joints)} joints from {arm.base} to {arm.flange}: {', '.join(arm.joints)}")
         tool = gripper(recipe.gripper)
         root = ElementTree.Element("robot", {"name": recipe.name})
-        root.extend(list(arm.elements(inside, say)))
+        root.extend(list(arm.elements(inside, report)))
         mount = ElementTree.SubElement(root, "joint", {"name": f"{recipe.name}_mount_joint", "type": "fixed"})
         ElementTree.SubElement(mount, "parent", {"link": arm.own(arm.flange)})
         ElementTree.SubElement(mount, "child", {"link": f"{recipe.name}_{tool.root.removeprefix(tool.prefix)}"})
@@ -83,13 +85,13 @@ def derive(recipe: RobotRecipe, out: Path, *, folder: Path | None = None, say: C
         ElementTree.indent(root)
         urdf = inside / f"{recipe.name}.urdf"
         ElementTree.ElementTree(root).write(urdf, encoding="utf-8", xml_declaration=True)
-        say("sampling which links can touch")
+        report("sampling which links can touch")
         hand = frozenset(tool.model(lambda name: f"{recipe.name}_{name}").links)
         (inside / f"{recipe.name}.srdf").write_text(srdf_text(recipe.name, urdf, together=hand))
         values = arm.values(tool)
         file.write_text(_yaml(recipe, values))
         if not recipe.home:
-            say("searching a home pose")
+            report("searching a home pose")
             values["home"] = [round(float(q), 4) for q in arm.home(scratch)]
             file.write_text(_yaml(recipe, values))
         for kept in target.glob("*") if target.is_dir() else ():
@@ -179,7 +181,7 @@ class Arm:
                     self._chain.append(above[name])
         return side
 
-    def elements(self, folder: Path, say: Callable[[str], None]) -> Iterable[Element]:
+    def elements(self, folder: Path, report: Callable[[str], None]) -> Iterable[Element]:
         """Yield links and joints with the robot's names and meshes; write the meshes.
 
         Raises:
@@ -192,7 +194,7 @@ class Arm:
             inertial = link.find("inertial")
             made.append(massless() if inertial is None else inertial)
             if shapes:
-                say(f"  {link.get('name')}: {sum(shape.tag == 'collision' for shape in shapes)} convex parts")
+                report(f"  {link.get('name')}: {sum(shape.tag == 'collision' for shape in shapes)} convex parts")
             yield made
         for joint in self._chain:
             yield self._joint(joint)

@@ -70,7 +70,7 @@ class GripperRecipe:
 
 
 def derive_gripper(
-    recipe: GripperRecipe, out: Path, *, folder: Path | None = None, say: Callable[[str], None] = print
+    recipe: GripperRecipe, out: Path, *, folder: Path | None = None, report: Callable[[str], None] = print
 ) -> Path:
     """Write a gripper's folder and its YAML file.
 
@@ -78,7 +78,7 @@ def derive_gripper(
         recipe: What to do.
         out: Folder ``grippers`` of a configuration folder; receives ``NAME/`` and ``NAME.yaml``.
         folder: Folder that the recipe's ``urdf`` is relative to; none: the working directory.
-        say: Receives a line for each step.
+        report: Receives a line for each step.
 
     Returns:
         The YAML file.
@@ -126,7 +126,7 @@ def derive_gripper(
         rows, reach_m, arm_m = _measured(urdf, recipe, followers)
         _tcp(made, recipe.root, reach_m - TIP_BEYOND_TCP_M)
         _write(made, urdf)
-        say(f"opens to {1e3 * rows[-1][0]:.1f} mm; finger tips reach {1e3 * reach_m:.1f} mm from the flange")
+        report(f"opens to {1e3 * rows[-1][0]:.1f} mm; finger tips reach {1e3 * reach_m:.1f} mm from the flange")
         moving = [name for name, link in links.items() if name not in (recipe.root, *recipe.tips)]
         tool = GripperModel(
             joint_names=recipe.joints, max_opening_m=rows[-1][0], force_n=recipe.force_n, speed_m_s=recipe.speed_m_s,

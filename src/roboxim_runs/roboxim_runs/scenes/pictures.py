@@ -111,7 +111,7 @@ class ScenePainter:
                 _mark(view, seen.segmentation[::FINER, ::FINER] == ids[entity], label, labels)
             views.append((camera.name, view))
         first = next((camera for camera in scene.cameras if camera.parent == "world"), None)
-        sheet = np.asarray(_beside(views))
+        sheet = np.asarray(_side_by_side(views))
         return Image.fromarray(captioned(sheet, task.instruction, first) if task else sheet)
 
     def _enlarged(self, camera: CameraSpec) -> CameraSpec:
@@ -156,7 +156,7 @@ def stacked(pictures: Sequence[Image.Image], columns: int = 1) -> Image.Image:
     return sheet
 
 
-def _beside(views: Sequence[tuple[str, Image.Image]]) -> Image.Image:
+def _side_by_side(views: Sequence[tuple[str, Image.Image]]) -> Image.Image:
     """Return views side by side, each with its camera's name in a corner."""
     font = ImageFont.load_default(14)
     for name, view in views:

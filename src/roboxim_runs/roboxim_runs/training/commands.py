@@ -32,7 +32,7 @@ from roboxim_runs.storage.event_log import VARIABLE
 
 POLL_S = 0.05
 """Period at which trainings are polled [s]."""
-TELL_S = 1.0
+REPORT_S = 1.0
 """Period at which the progress of trainings is read [s]."""
 END_S = 60.0
 """Longest time for interrupted trainings to save their checkpoints [s]."""
@@ -218,10 +218,10 @@ def _run(
                 on_trained(training.trained(shared.end(training.stage.name)))
         if failed:
             _fail(failed[0], [training for training in running if training not in failed])
-        if time.monotonic() - reported_s >= TELL_S:
+        if time.monotonic() - reported_s >= REPORT_S:
             reported_s = time.monotonic()
             for training in running:
-                training.tell()
+                training.report_progress()
 
 
 def _fail(failed: _Training, others: Sequence[_Training]) -> None:
@@ -230,10 +230,10 @@ def _fail(failed: _Training, others: Sequence[_Training]) -> None:
     Raises:
         RoboximError: Always.
     """
-    beside = f"\ninterrupted beside it: {', '.join(map(str, others))}" if others else ""
+    others_text = f"\ninterrupted beside it: {', '.join(map(str, others))}" if others else ""
     raise RoboximError(
         f"{failed.stage.name}: {shlex.join(failed.words)} ended with {describe_exit(failed.process.returncode)}; the "
-        f"same command continues; the end of {failed.log}:\n{last_lines(failed.log)}{beside}"
+        f"same command continues; the end of {failed.log}:\n{last_lines(failed.log)}{others_text}"
     )
 
 
@@ -287,7 +287,7 @@ class _Training:
         self._on_event(StageFinished(name=self.stage.name))
         return True
 
-    def tell(self) -> None:
+    def report_progress(self) -> None:
         """Report the progress that the trainer has reported; without any, the last line of its log."""
         before = (self._done, self._total, self._note)
         if report := self._reports.last():

@@ -110,7 +110,7 @@ def train_policy(
     make_folder(folder)
     for left in folder.glob(".*.partial"):  # by a killed training, see `whole_files`
         left.unlink(missing_ok=True)
-    with reporter.stage("encoding pictures") if settings.ENCODER else nullcontext(_untold) as encoding:
+    with reporter.stage("encoding pictures") if settings.ENCODER else nullcontext(_ignore_progress) as encoding:
         trainer = Trainer(data, settings, folder, encoding=encoding, held_out=held_out, start=began_with)
     name_dataset(Path(dataset), folder)
     before = trainer.step
@@ -138,7 +138,7 @@ def train_policy(
     )
 
 
-def _untold(done: int, total: int) -> None:
+def _ignore_progress(done: int, total: int) -> None:
     """Ignore progress."""
 
 

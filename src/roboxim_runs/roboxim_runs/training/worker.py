@@ -74,7 +74,7 @@ class TrainingWorker:
                     "several machines need an output folder (--out) that all of them share under the same path"
                 )
 
-        def tell(event: Event) -> None:
+        def forward(event: Event) -> None:
             if type(event).__name__ in REPORTED:
                 note({"event": type(event).__name__, "fields": to_plain(event)})
 
@@ -83,7 +83,7 @@ class TrainingWorker:
                 (stage,),
                 self._out,
                 at_once=1,
-                on_event=tell,
+                on_event=forward,
                 on_trained=found.append,
                 cancellation=ownership,
                 end_s=SAVE_S,
@@ -102,7 +102,7 @@ class _Ownership:
         self._file = folder.with_name(f".{folder.name}.worker")
         self._name = f"{socket.gethostname()} {os.getpid()} {uuid.uuid4().hex}"
         self._alive = alive
-        self._looked = self._told = time.monotonic()
+        self._checked = self._reported = time.monotonic()
 
     def __enter__(self) -> _Ownership:
         self._file.parent.mkdir(exist_ok=True)
@@ -125,11 +125,11 @@ class _Ownership:
             WorkerBrokenError: When another worker has taken the training over.
         """
         now = time.monotonic()
-        if now - self._looked >= LOOK_S:
-            self._looked = now
+        if now - self._checked >= LOOK_S:
+            self._checked = now
             self._require()
-        if now - self._told >= ALIVE_S:
-            self._told = now
+        if now - self._reported >= ALIVE_S:
+            self._reported = now
             self._alive()
         return False
 

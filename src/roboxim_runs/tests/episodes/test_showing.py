@@ -112,7 +112,7 @@ def test_its_page_has_all_ticks_and_what_it_was_judged_by(evaluated: Path) -> No
     page = shown_episode(found.bag, films=FilmOptions(), others=found.others, name=found.policy)
     assert page.film is not None
     assert page.film.frames == page.ticks == len(BagReader(found.bag)) == 7
-    assert page.told == "0 of 2 fingers pressed it, lifted 0 cm of 5."
+    assert page.explanation == "0 of 2 fingers pressed it, lifted 0 cm of 5."
     assert {"grasped", "lifted", "others_upright"} <= {one.name for one in page.conditions}
     assert next(one for one in page.conditions if one.name == "lifted").least > 0.05
     assert {one.name for one in page.signals} == {"Action", "Gripper", "Tool centre point", "Joints"}

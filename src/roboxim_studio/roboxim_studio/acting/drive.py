@@ -155,8 +155,8 @@ class Drive:
 
     def _repeat(self, after: Sequence[tuple[StateRecord, ActedBy]]) -> None:
         """Execute another episode's actions; every state must be the recorded one."""
-        for recorded, who in after:
-            self._send(ActionChunk(actions=np.array(recorded.action_executed, np.float32)[None]), who)
+        for recorded, actor in after:
+            self._send(ActionChunk(actions=np.array(recorded.action_executed, np.float32)[None]), actor)
             if self.state.state_hash != recorded.state_hash:
                 self.throw_away()
                 raise SimError(
@@ -220,12 +220,12 @@ class Drive:
             self.partner_acts = to_partner
             self.partner.let_go()
 
-    def _send(self, chunk: ActionChunk, who: ActedBy) -> bool:
+    def _send(self, chunk: ActionChunk, actor: ActedBy) -> bool:
         if self._play is None:
             return False
-        self._acts = who
+        self._acts = actor
         if self._shared:
-            self._acted.append(who)
+            self._acted.append(actor)
         try:
             self._window = self._play.send(chunk)
         except StopIteration as end:

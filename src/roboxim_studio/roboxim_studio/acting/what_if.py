@@ -62,7 +62,7 @@ def first_difference(one: Film, other: Film) -> int | None:
     return next((a.seq for a, b in pairs if a.state_hash != b.state_hash), None)
 
 
-def ask(
+def simulate(
     graph: CoreGraph, film: Film, question: Question, actor: ActorPort | None = None, *,
     on_tick: OnTick = lambda *_: None, cancelled: Callable[[], bool] = lambda: False,
 ) -> Answer:  # fmt: skip
@@ -160,12 +160,12 @@ class Disturbing:
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
         """Execute an action; first move the entity, if it is time."""
-        asked = self._question
-        if asked.moved and seq == asked.tick + 1:
-            pose = self._sim.world.record.entity(asked.moved).pose
+        question = self._question
+        if question.moved and seq == question.tick + 1:
+            pose = self._sim.world.record.entity(question.moved).pose
             x, y, z = pose.position
-            place = (x + asked.by_m[0], y + asked.by_m[1], z)
-            self._sim.world.set_entity_state(asked.moved, Pose(position=place, quat_xyzw=pose.quat_xyzw))
+            place = (x + question.by_m[0], y + question.by_m[1], z)
+            self._sim.world.set_entity_state(question.moved, Pose(position=place, quat_xyzw=pose.quat_xyzw))
         return self._checked(self._sim.tick(episode_id, seq, action))
 
     def observe(self, state: StateRecord, cameras: tuple[str, ...]) -> Observation:

@@ -184,8 +184,8 @@ class Desk:
         return file
 
     def _changed(self) -> Future[Checks]:
-        for told in self.on_change:
-            told()
+        for listener in self.on_change:
+            listener()
         self._bench.do(self._quick, newest_of="quick checks")
         self._bench.do(self._draw, newest_of="pictures")
         return self._bench.do(self._whole, newest_of="checks")
@@ -198,8 +198,8 @@ class Desk:
         self._set(checks)
         if checks.valid and checks.of == self.history.now:
             path = self._path(checked(checks.of, self._library))
-            for told in self.on_plan:
-                told(path)
+            for listener in self.on_plan:
+                listener(path)
         return checks
 
     def _path(self, config: FixedTaskConfig) -> Points:
@@ -212,18 +212,18 @@ class Desk:
     def _set(self, checks: Checks) -> None:
         if checks.of == self.history.now:
             self.checks = checks
-            for told in self.on_checks:
-                told()
+            for listener in self.on_checks:
+                listener()
 
     def _draw(self) -> None:
         document = self.history.now
         try:
-            seen = self._lab.pictures(document.fixed.scene, self.state(document.fixed.scene))
+            pictures = self._lab.pictures(document.fixed.scene, self.state(document.fixed.scene))
         except RoboximError:
             return  # the checks name what is wrong with the scene
         if document == self.history.now:
-            for told in self.on_pictures:
-                told(seen)
+            for listener in self.on_pictures:
+                listener(pictures)
 
 
 def file_to_save(folder: Path, name: str) -> Path:

@@ -72,7 +72,7 @@ class Pictures:
     """Camera to tick to JPEG."""
     complete: threading.Event = field(default_factory=threading.Event)
     """Set when no more will come."""
-    asked: threading.Event = field(default_factory=threading.Event)
+    requested: threading.Event = field(default_factory=threading.Event)
     """Set when somebody wants to see some: a scene and its panel are shown first."""
 
     def add(self, seq: int, images: Mapping[str, Picture]) -> None:
@@ -84,7 +84,7 @@ class Pictures:
 
     def at(self, seq: int) -> dict[str, Picture]:
         """Return the pictures of a tick that have come, by camera."""
-        self.asked.set()
+        self.requested.set()
         found = {name: ticks[seq] for name, ticks in tuple(self.data.items()) if seq in ticks}
         return {name: decoded(data) for name, data in found.items()}
 
@@ -115,7 +115,7 @@ def read_film(path: Path, *, in_background: bool = True) -> Film:
 
     def fill() -> None:
         if in_background:
-            pictures.asked.wait(GRACE_S)
+            pictures.requested.wait(GRACE_S)
         try:
             for tick in BagReader(path, info=reader.info).ticks(kinds=("image",)):
                 pictures.add(tick.seq, tick.images)
@@ -172,9 +172,9 @@ def marks(film: Film, verdicts: Sequence[Verdict] | None = None) -> tuple[Mark, 
                 found.append(Mark(seq=state.seq, name=f"failed: {verdict.reason}"))
             reason = verdict.reason
         was = verdict.success
-    for number, (before, who) in enumerate(itertools.pairwise(film.actors), start=1):
-        if before != who:
-            found.append(Mark(seq=number, name=f"{who} takes over"))
+    for number, (before, actor) in enumerate(itertools.pairwise(film.actors), start=1):
+        if before != actor:
+            found.append(Mark(seq=number, name=f"{actor} takes over"))
     found.sort(key=lambda mark: mark.seq)
     return (Mark(seq=0, name="start"), *found, Mark(seq=len(film) - 1, name=f"end: {ending(film)}"))
 

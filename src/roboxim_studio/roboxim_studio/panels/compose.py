@@ -69,8 +69,8 @@ class ComposePanel:
             solve = gui.add_button("Solve with the expert")
             stop = gui.add_button("Stop")
             count = gui.add_button("How often is it refused?")
-            self._told = gui.add_html("")
-            self.form = TaskForm(gui, editor.library, lambda why: self._tell(why, alert=True))
+            self._message = gui.add_html("")
+            self.form = TaskForm(gui, editor.library, lambda why: self._show_message(why, alert=True))
             self._name = gui.add_text("Save task as", initial_value="my_task", hint=f"Into {folder.name}, as YAML")
             save = gui.add_button("Save the task")
         draw.on_click(lambda _: self.draw())
@@ -102,7 +102,7 @@ class ComposePanel:
         try:
             self.form.open(task_text(self.chosen))
         except RoboximError as error:
-            self._tell(str(error), alert=True)
+            self._show_message(str(error), alert=True)
 
     @property
     def text(self) -> str:
@@ -120,9 +120,9 @@ class ComposePanel:
             file = file_to_save(self._saves, name)
             write_whole(file, f"# Made with roboxim studio.\n{self.text}")
         except (RoboximError, OSError) as error:
-            self._tell(str(error), alert=True)
+            self._show_message(str(error), alert=True)
             return None
-        self._tell(
+        self._show_message(
             f"saved as {file.name}; the same scenes:\n"
             f"roboxim generate --task {file.name} --seed {self.seed.run_seed}\n"
             f"roboxim tasks sample --task {file.name} --seed {self.seed.run_seed} --purpose {self.seed.purpose}"
@@ -151,7 +151,7 @@ class ComposePanel:
         if another:
             self._index.value = int(self._index.value) + 1
         seed = self.seed
-        self._tell(f"drawing index {seed.index} ...")
+        self._show_message(f"drawing index {seed.index} ...")
         return self._bench.do(lambda: self._draw(seed))
 
     def solve(self) -> Any:
@@ -161,7 +161,7 @@ class ComposePanel:
             return None
         text, seed = as_yaml(desk.document), self.seed
         self._cancel.clear()
-        self._tell("planning ...")
+        self._show_message("planning ...")
         return self._bench.do(lambda: self._solve(text, seed))
 
     def count(self) -> Any:
@@ -177,11 +177,11 @@ class ComposePanel:
         try:
             self.drawn = self._lab.draw(self.text, seed)
         except RoboximError as error:
-            self._tell(str(error), alert=True)
+            self._show_message(str(error), alert=True)
             return None
         reset = self._lab.graph.tasks.generator.last_reset
         refused = _causes(reset) if reset else Counter()
-        self._tell(
+        self._show_message(
             f"{self.drawn.task.instruction}\nindex {seed.index}, scene {digest(self.drawn.scene)}, "
             f"{sum(refused.values())} draws refused{': ' + _listed(refused) if refused else ''}"
         )
@@ -197,17 +197,17 @@ class ComposePanel:
             def show(state: Any, step: Any) -> None:
                 self._view.show(state, {n: seen.rgb for n, seen in self._lab.graph.sim.images.items()})
                 if state.seq % 5 == 0:
-                    self._tell(f"the expert acts: tick {state.seq}, {step.verdict.reason or 'solved'}")
+                    self._show_message(f"the expert acts: tick {state.seq}, {step.verdict.reason or 'solved'}")
 
             film = take(
                 self._lab.graph, draw, self._lab.actor(EXPERT), seed, on_tick=show,
                 cancelled=lambda: self._cancel.is_set() or self._bench.stopping.is_set(),
             )  # fmt: skip
         except RoboximError as error:
-            self._tell(str(error), alert=True)
+            self._show_message(str(error), alert=True)
             self._editor.show()
             return None
-        self._tell(f"the expert: {ending(film)} after {film.result.steps} actions")
+        self._show_message(f"the expert: {ending(film)} after {film.result.steps} actions")
         self._watch(film)
         return film
 
@@ -217,7 +217,7 @@ class ComposePanel:
         try:
             text = self.text
         except RoboximError as error:
-            self._tell(str(error), alert=True)
+            self._show_message(str(error), alert=True)
             return counts
         for done, index in enumerate(range(COUNTED), start=1):
             if self._cancel.is_set() or self._bench.stopping.is_set():
@@ -225,7 +225,7 @@ class ComposePanel:
             try:
                 self._lab.draw(text, SeedPath(run_seed=seed.run_seed, purpose=seed.purpose, index=index))
             except ConfigError as error:
-                self._tell(str(error), alert=True)
+                self._show_message(str(error), alert=True)
                 return counts
             except RoboximError:
                 failed += 1
@@ -236,11 +236,11 @@ class ComposePanel:
             refused = sum(counts.values())
             share = f"{100 * refused / draws:.0f} % of {draws} draws" if draws else "no draw"
             causes = _listed(counts) or "no constraint refused a draw"
-            self._tell(f"{done} of {COUNTED} scenes: {share} refused, {failed} without a scene\n{causes}")
+            self._show_message(f"{done} of {COUNTED} scenes: {share} refused, {failed} without a scene\n{causes}")
         return counts
 
-    def _tell(self, text: str, *, alert: bool = False) -> None:
-        self._told.content = markup.paragraph(text, "composed", alert=alert)
+    def _show_message(self, text: str, *, alert: bool = False) -> None:
+        self._message.content = markup.paragraph(text, "composed", alert=alert)
 
 
 def _causes(reset: ResetContext) -> Counter[str]:

@@ -130,7 +130,7 @@ class DatasetPanel:
             episode = self.dataset.episode(index)
             rows = [step for step in episode.steps(cameras=())]
         except RoboximError as error:
-            self._site.tell(alert=str(error))
+            self._site.send(alert=str(error))
             return
         with self._lock:
             self.episode, self._pictures, self._rows, self.number = episode, Pictures(), rows, 0
@@ -162,7 +162,7 @@ class DatasetPanel:
             hint="The arm that is shown in 3D; those offered have as many joints, and reach these positions.",
         )  # fmt: skip
         arms.on_update(lambda event: self.choose_arm(str(event.target.value)) if event.client else None)
-        self._said = gui.add_html("")
+        self._arm_text = gui.add_html("")
         slider: Any = gui.add_slider("Step", min=0, max=max(1, len(episode) - 1), step=1, initial_value=0)
         slider.on_update(lambda event: self.step(int(event.target.value)) if event.client else None)
         self._folder = gui.add_folder("Pictures")
@@ -170,7 +170,7 @@ class DatasetPanel:
         with curves:
             for plot in _plots(episode, rows):
                 gui.add_uplot(plot.data(), plot.series(), title=plot.title, height=170)
-        self._own = [facts, arms, self._said, slider, self._folder, curves]
+        self._own = [facts, arms, self._arm_text, slider, self._folder, curves]
 
     def choose_arm(self, name: str) -> None:
         """Show the positions of the joints with an arm, or say why that is not possible."""
@@ -187,7 +187,7 @@ class DatasetPanel:
             else:
                 fingers = "" if self.track.opening is not None else "; the gripper's opening is not known, it is open"
                 text = f"in 3D: '{self.track.source}' as the joints of {name}{fingers}"
-            self._said.content = markup.paragraph(text, "dataset-arm")
+            self._arm_text.content = markup.paragraph(text, "dataset-arm")
             self.show_again()
 
     def filter(self, text: str) -> None:
@@ -196,24 +196,24 @@ class DatasetPanel:
         assert self.selection is not None
         self._meeting.visible = bool(text.strip())
         if not text.strip():
-            self.selection.say("")
+            self.selection.show_message("")
             return
         try:
             for number, name in enumerate(self._numbers):
                 if self._bench.stopping.is_set():
                     return
                 if number % 20 == 0:
-                    self.selection.say(f"{number} of {len(self._numbers)} episodes read")
+                    self.selection.show_message(f"{number} of {len(self._numbers)} episodes read")
                 if name not in self._known:
                     split, index = self.dataset.place(number)
                     self._known[name] = facts_of(Place(dataset=self.dataset, split=split, index=index))
             found = meeting(text, self._known)
         except RoboximError as error:
-            self.selection.say(str(error), alert=True)
+            self.selection.show_message(str(error), alert=True)
             return
         self._found = [name for name in self._numbers if name in found]
         self._list()
-        self.selection.say(f"{len(found)} of {len(self._numbers)} episodes meet the conditions")
+        self.selection.show_message(f"{len(found)} of {len(self._numbers)} episodes meet the conditions")
 
     def _list(self) -> None:
         """Show the marks, and the names of the episodes that meet the conditions."""
@@ -266,13 +266,13 @@ class DatasetPanel:
             try:
                 actions += [step.action for step in self.dataset.episode(index).steps(cameras=())]
             except RoboximError as error:
-                self._site.tell(alert=str(error))
+                self._site.send(alert=str(error))
             if index % 10 == 0:
-                self._site.tell(hint=f"{index} of {count} episodes read")
-        self._site.tell(hint="")
+                self._site.send(hint=f"{index} of {count} episodes read")
+        self._site.send(hint="")
         widths = {len(action) for action in actions}
         if len(widths) != 1:
-            self._site.tell(alert=f"the episodes have actions of several lengths: {sorted(widths)}" if widths else "")
+            self._site.send(alert=f"the episodes have actions of several lengths: {sorted(widths)}" if widths else "")
             return ()
         semantics = self.episode.semantics if self.episode else None
         width = widths.pop()
@@ -306,7 +306,7 @@ class DatasetPanel:
                 if step.index == 0 and self._pictures is pictures:
                     self.step(0)
         except RoboximError as error:
-            self._site.tell(alert=str(error))
+            self._site.send(alert=str(error))
         finally:
             pictures.complete.set()
 

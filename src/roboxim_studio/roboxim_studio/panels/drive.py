@@ -82,12 +82,12 @@ class DrivePanel:
         """The episode; none: none was begun."""
         self.kept = 0
         """Number of episodes that were kept since the studio began."""
-        self._heard: dict[int, tuple[float, Mapping[str, Any]]] = {}
+        self._received: dict[int, tuple[float, Mapping[str, Any]]] = {}
         self._target: Pose | None = None
         self._base = Pose()
         self._opening = 1.0
         self._pressed: dict[int, frozenset[str]] = {}
-        self._owed: Steering | None = None
+        self._pending: Steering | None = None
         self._served = self._moving = False
         self._plumb: Any = None
         self._verdict = ""
@@ -113,7 +113,7 @@ class DrivePanel:
             grip = gui.add_button("Open or close the gripper")
             hand = gui.add_button("Take over, or hand back")
             gui.add_button(SPACE_MOUSE, hint="By WebHID, which Chromium has; the browser asks which device.")
-            self._told = gui.add_html(markup.paragraph(HELP, "drive"))
+            self._message = gui.add_html(markup.paragraph(HELP, "drive"))
             self._lamps = gui.add_html("")
             self._pictures = gui.add_folder("Cameras")
         start.on_click(lambda _: self.begin() and None)
@@ -139,7 +139,7 @@ class DrivePanel:
         seed = self._compose.seed
         index = next_index(self.bags, seed)
         seed = type(seed)(run_seed=seed.run_seed, purpose=seed.purpose, index=index)
-        self._tell(f"drawing index {index} ...")
+        self._show_message(f"drawing index {index} ...")
         try:
             chosen = str(self._partner.value)
             partner = None if chosen == NOBODY else Partner(chosen, self._lab.actor(chosen))
@@ -149,15 +149,15 @@ class DrivePanel:
             self._judging = []
             drive = Drive(self._lab.graph, draw, seed, self.bags, on_tick=self._shown, partner=partner, after=after)
         except RoboximError as error:
-            self._tell(str(error), alert=True)
+            self._show_message(str(error), alert=True)
             return None
         with self._lock:
             self.drive, self._ending, self._target = drive, "", None
             self._base, self._opening = draw.scene.robot.pose, drive.state.robot.gripper_command
             self._place_gizmo(drive.state.robot.pose_tcp_commanded)
-        self._tell("\n".join(filter(None, (apart, draw.task.instruction, HELP, HAND_HELP if partner else ""))))
-        self._site.tell(driving=True, hint=draw.task.instruction, alert="")
-        self._say_who(drive)
+        self._show_message("\n".join(filter(None, (apart, draw.task.instruction, HELP, HAND_HELP if partner else ""))))
+        self._site.send(driving=True, hint=draw.task.instruction, alert="")
+        self._show_actor(drive)
         self._running.set()
         return drive
 
@@ -179,25 +179,25 @@ class DrivePanel:
         with self._lock:
             self._target, self._opening = None, drive.state.robot.gripper_command
         drive.hand(to_partner=to_partner)
-        self._say_who(drive, why)
+        self._show_actor(drive, why)
 
-    def _say_who(self, drive: Drive, why: str = "") -> None:
+    def _show_actor(self, drive: Drive, why: str = "") -> None:
         self._show_line(drive.state)
         if drive.partner is None:
             return
-        who = f"{drive.partner.name} acts; T: take over" if drive.partner_acts else "you act; T: hand back"
-        self._site.tell(hint=f"{drive.instruction}\n{who}", alert=why)
+        actor = f"{drive.partner.name} acts; T: take over" if drive.partner_acts else "you act; T: hand back"
+        self._site.send(hint=f"{drive.instruction}\n{actor}", alert=why)
 
     def leave(self) -> str:
         """Set a running episode apart; on the bench. Returns where it is, in words; empty: none was running."""
         self._running.clear()
         drive, self.drive = self.drive, None
-        said = ""
+        text = ""
         if drive is not None and (path := drive.close()):
-            said = f"the running episode was not ended: it is set apart as {self.bags.name}/{path}"
-            self._tell(said)
+            text = f"the running episode was not ended: it is set apart as {self.bags.name}/{path}"
+            self._show_message(text)
         self._stop_driving()
-        return said
+        return text
 
     def _stop_driving(self) -> None:
         with self._lock:
@@ -205,12 +205,12 @@ class DrivePanel:
             if self._gizmo is not None:
                 self._gizmo.remove()
                 self._gizmo = None
-            self._heard.clear()
-            self._owed = None
+            self._received.clear()
+            self._pending = None
             if self._plumb is not None:
                 self._plumb.remove()
                 self._plumb = None
-        self._site.tell(driving=False, hint="")
+        self._site.send(driving=False, hint="")
 
     def close(self) -> None:
         """End the driver; call `leave` on the bench afterwards."""
@@ -227,23 +227,23 @@ class DrivePanel:
 
     # ---------------------------------------------------------------- input
 
-    def heard(self, page: int, message: Mapping[str, Any]) -> None:
+    def receive(self, page: int, message: Mapping[str, Any]) -> None:
         """Note what a page holds; an empty message: it has gone. Called in the server's thread."""
         with self._lock:
             if not message:
-                self._heard.pop(page, None)
+                self._received.pop(page, None)
                 self._pressed.pop(page, None)
                 return
             if "held" in message:
-                self._heard[page] = (time.monotonic(), message)
-                said = Steering.of_message(message)
-                before, now = self._pressed.get(page, frozenset()), said.once()
+                self._received[page] = (time.monotonic(), message)
+                steering = Steering.of_message(message)
+                before, now = self._pressed.get(page, frozenset()), steering.once()
                 self._pressed[page] = now
-                moving = any(said.directions())
+                moving = any(steering.directions())
                 if moving:
-                    self._owed, self._served = said, self._served and self._moving
+                    self._pending, self._served = steering, self._served and self._moving
                 elif self._served:  # a tick was made of what is released; one that came between two ticks is still owed
-                    self._owed = None
+                    self._pending = None
                 self._moving = moving
         if "held" in message:
             for code in now - before:
@@ -269,7 +269,7 @@ class DrivePanel:
         """Return what is held on all pages together."""
         now = time.monotonic()
         with self._lock:
-            fresh = [message for stamp, message in self._heard.values() if now - stamp < SILENT_S]
+            fresh = [message for stamp, message in self._received.values() if now - stamp < SILENT_S]
             all_held = [Steering.of_message(message) for message in fresh]
             pad = next((one for one in all_held if one.axes), Steering())
             mouse = next((one.space_mouse for one in all_held if one.space_mouse.directions), SpaceMouse())
@@ -286,11 +286,11 @@ class DrivePanel:
         released.
         """
         with self._lock:
-            owed, self._owed = self._owed, None
-            self._served = self._served or owed is not None
+            pending, self._pending = self._pending, None
+            self._served = self._served or pending is not None
         now = self.steering()
-        if owed is not None:
-            return replace(owed, held=owed.held | now.held if any(now.directions()) else owed.held)
+        if pending is not None:
+            return replace(pending, held=pending.held | now.held if any(now.directions()) else pending.held)
         return replace(now, held=frozenset(), axes=(), space_mouse=SpaceMouse()) if self._waits.value else now
 
     def _place_gizmo(self, pose_tcp: Pose) -> None:
@@ -326,7 +326,7 @@ class DrivePanel:
                 self._bench.do(lambda drive=drive: self._advance(drive)).result()  # type: ignore[misc]
             except RoboximError as error:
                 self._running.clear()
-                self._tell(str(error), alert=True)
+                self._show_message(str(error), alert=True)
 
     def _advance(self, drive: Drive) -> None:
         """Execute what is held, on the bench."""
@@ -371,8 +371,10 @@ class DrivePanel:
         self._show_line(film.states[-1])
         self.kept += drive.bag is not None
         kept = f"kept as {drive.bag.name}" if drive.bag is not None else ""
-        self._tell(f"{ending(film)} after {film.result.steps} actions; {kept}\nBackspace or 'Throw away' removes it")
-        self._site.tell(hint=f"{ending(film)}; Backspace throws it away")
+        self._show_message(
+            f"{ending(film)} after {film.result.steps} actions; {kept}\nBackspace or 'Throw away' removes it"
+        )
+        self._site.send(hint=f"{ending(film)}; Backspace throws it away")
 
     def _throw(self) -> None:
         drive, self._ending = self.drive, ""
@@ -382,7 +384,7 @@ class DrivePanel:
             drive.throw_away()
             self.drive = None
         self._stop_driving()
-        self._tell("thrown away")
+        self._show_message("thrown away")
 
     def _shown(self, state: StateRecord, step: EpisodeStep) -> None:
         images = {name: seen.rgb for name, seen in self._lab.graph.sim.images.items()}
@@ -406,11 +408,11 @@ class DrivePanel:
         if scene is None:
             return
         partner = drive.partner if drive is not None and drive.partner_acts else None
-        who = f"{partner.name} acts" if partner is not None else "you act; time stands still until you move"
+        actor = f"{partner.name} acts" if partner is not None else "you act; time stands still until you move"
         if partner is None and not self._waits.value:
-            who = "you act"
+            actor = "you act"
         over = drive is not None and drive.result is not None
-        lines = [f"tick {state.seq}   {self._verdict}   {'ended' if over else who}"]
+        lines = [f"tick {state.seq}   {self._verdict}   {'ended' if over else actor}"]
         tool = state.robot.pose_tcp_measured.position
         if drive is not None and drive.aim in {entity.name for entity in state.entities}:
             aim = state.entity(drive.aim).pose.position
@@ -424,8 +426,8 @@ class DrivePanel:
             thickness_units="screen",
         )  # fmt: skip
 
-    def _tell(self, text: str, *, alert: bool = False) -> None:
-        self._told.content = markup.paragraph(text, "drive", alert=alert)
+    def _show_message(self, text: str, *, alert: bool = False) -> None:
+        self._message.content = markup.paragraph(text, "drive", alert=alert)
 
 
 def offset_words(base: Pose, tool: tuple[float, ...], aim: tuple[float, ...], name: str) -> str:

@@ -90,7 +90,7 @@ class EditorPanel:
             self.folder.visible = self.active = True
             self.select(NOTHING)
             self.desk.refresh()
-        self._site.tell(hint=HINT, alert="")
+        self._site.send(hint=HINT, alert="")
 
     def hide(self) -> None:
         """Leave the view to another panel; the document stays."""
@@ -108,7 +108,7 @@ class EditorPanel:
             self._view.load(self.desk.scene)
             self._checked()
             self.desk.refresh()
-            self._site.tell(hint=HINT, alert="")
+            self._site.send(hint=HINT, alert="")
 
     def _build(self) -> None:
         gui = self._gui
@@ -153,7 +153,7 @@ class EditorPanel:
         """Make an edit; one that is not possible is named, and nothing changes."""
         assert self.desk is not None
         problem = self.desk.edit(change)
-        self._site.tell(alert=problem)
+        self._site.send(alert=problem)
 
     def save(self, name: str) -> Path | None:
         """Save the document; returns the file, or None if it is not possible, which the panel says."""
@@ -257,7 +257,7 @@ class EditorPanel:
         start = np.array(self.desk.state().robot.joint_positions)
         found = arm.ik_near(robot.pose.inverse() @ pose_tcp, start)
         if not found.converged or not arm.within_limits(found.joints, 0.0):
-            self._site.tell(alert="start_reachable: the arm cannot start with its tool there")
+            self._site.send(alert="start_reachable: the arm cannot start with its tool there")
             self.select(HAND)
             return
         joints = tuple(float(value) for value in found.joints)
@@ -298,7 +298,7 @@ class EditorPanel:
                     self._view.show(self.desk.state())
                     self._show_ghost()
                 except RoboximError as error:
-                    self._site.tell(alert=str(error))
+                    self._site.send(alert=str(error))
                     return
             names = self._names()
             if tuple(self._choice.options) != names:

@@ -71,10 +71,10 @@ class EpisodePanel:
             self._fresh = []
             with self.folder:
                 self._build(film)
-            for told in self.on_opened:
-                told(film)
+            for listener in self.on_opened:
+                listener(film)
             self.show(0)
-        self._site.tell(hint=HINT, alert="")
+        self._site.send(hint=HINT, alert="")
 
     def _build(self, film: Film) -> None:
         gui, info = self._gui, film.info
@@ -160,8 +160,8 @@ class EpisodePanel:
             )  # fmt: skip
             self._lamps.content = markup.lamps(judgement.lamps(seq))
             self._show_images(images)
-            for told in self.on_shown:
-                told(film, seq)
+            for listener in self.on_shown:
+                listener(film, seq)
 
     def _show_images(self, images: dict[str, Any]) -> None:
         for name, image in images.items():
@@ -213,7 +213,7 @@ class EpisodePanel:
             if self.film is not None:
                 self._view.load(self.film.info.scene)
                 self.show(self.tick)
-                self._site.tell(hint=HINT, alert="")
+                self._site.send(hint=HINT, alert="")
 
     # ---------------------------------------------------------------- keys and buttons
 

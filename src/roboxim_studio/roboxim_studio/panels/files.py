@@ -142,24 +142,24 @@ class FilesPanel:
         """List the episodes that meet conditions, as ``--where`` takes them; empty: all. Reads each bag once."""
         assert self.selection is not None
         if not text.strip():
-            found, said = None, ""
+            found, text = None, ""
         else:
             facts: dict[str, dict[str, Fact]] = {}
             for number, entry in enumerate(self.entries):
                 if number % 20 == 0:
-                    self._say(f"{number} of {len(self.entries)} episodes read")
+                    self._show_message(f"{number} of {len(self.entries)} episodes read")
                 if entry.outcome != "unreadable":
                     facts[entry.name] = self._read_facts(entry)
             try:
                 found = meeting(text, facts)
             except RoboximError as error:
-                self._say(str(error), alert=True)
+                self._show_message(str(error), alert=True)
                 return
-            said = f"{len(found)} of {len(self.entries)} episodes meet the conditions"
+            text = f"{len(found)} of {len(self.entries)} episodes meet the conditions"
         with self._lock:
             self._meeting = found
             self._list()
-        self._say(said)
+        self._show_message(text)
 
     def _read_facts(self, entry: Entry) -> dict[str, Fact]:
         if entry.path not in self._facts_of:
@@ -238,13 +238,13 @@ class FilesPanel:
                 try:
                     new = {entry.path: entry for entry in list_entries([bag for bag in bags if bag not in there], run)}
                 except RoboximError as error:
-                    self._say(str(error), alert=True)
+                    self._show_message(str(error), alert=True)
                     continue
                 self._known = bags
                 self.entries = tuple((there | new)[bag] for bag in bags)
                 self._list()
                 if new:
-                    self._say(f"new: {', '.join(entry.name for entry in new.values())}")
+                    self._show_message(f"new: {', '.join(entry.name for entry in new.values())}")
 
     # ---------------------------------------------------------------- acting on one
 
@@ -269,9 +269,9 @@ class FilesPanel:
                 self._show_beside(entry.path)
             else:
                 self._open_bag(entry.path)
-            self._say("")
+            self._show_message("")
         except RoboximError as error:
-            self._say(str(error), alert=True)
+            self._show_message(str(error), alert=True)
 
     # ---------------------------------------------------------------- all together
 
@@ -286,7 +286,7 @@ class FilesPanel:
                 reader = BagReader(entry.path)
                 states = [tick.state for tick in reader.ticks(cameras=())]
             except RoboximError as error:
-                self._say(str(error), alert=True)
+                self._show_message(str(error), alert=True)
                 continue
             found[entry.name] = traits(states, reader.info.scene.tick_ns / 1e9)
             if number % 10 == 0:
@@ -326,6 +326,6 @@ class FilesPanel:
                 )  # fmt: skip
         self._plots.visible = True
 
-    def _say(self, text: str, *, alert: bool = False) -> None:
+    def _show_message(self, text: str, *, alert: bool = False) -> None:
         assert self.selection is not None
-        self.selection.say(text, alert=alert)
+        self.selection.show_message(text, alert=alert)

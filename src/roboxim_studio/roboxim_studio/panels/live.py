@@ -68,7 +68,7 @@ class LivePanel:
         self.folder = gui.add_folder("Running graph", visible=False)
         with self.folder:
             self._facts = gui.add_html("")
-            self._told = gui.add_html("")
+            self._message = gui.add_html("")
             self._choice: Any = gui.add_dropdown("Selected", (NOTHING,), initial_value=NOTHING)
             self._place: Any = gui.add_vector3("x, y, z [m]", initial_value=(0.0, 0.0, 0.0), step=0.001, visible=False)
             self._model = gui.add_dropdown("Model", library.object_ids, initial_value="cube")
@@ -106,7 +106,7 @@ class LivePanel:
         with self._lock:
             self.seen = None
         self._active.set()
-        self._site.tell(hint=HINT, alert="")
+        self._site.send(hint=HINT, alert="")
 
     def hide(self) -> None:
         """Leave the view to another panel, and listen to nothing."""
@@ -134,12 +134,12 @@ class LivePanel:
                 self.graph.arrived.clear()
                 self._draw_newest()
             except RoboximError as error:  # a model that is unknown here; the next scene may be known
-                self._tell(str(error), alert=True)
+                self._show_message(str(error), alert=True)
             self._closed.wait(PERIOD_S)
 
     def _draw_newest(self) -> None:
         if not self.graph.alive:
-            self._tell(f"the run '{self.graph.run.id}' has ended", alert=True)
+            self._show_message(f"the run '{self.graph.run.id}' has ended", alert=True)
             return
         seen = self.graph.seen()
         with self._lock:
@@ -235,7 +235,7 @@ class LivePanel:
         """Remove the selected object; returns the future end."""
         name = self.selected
         if name == NOTHING:
-            self._tell("select an object first", alert=True)
+            self._show_message("select an object first", alert=True)
             return None
         return self._do(lambda: self.graph.delete(name))
 
@@ -247,7 +247,7 @@ class LivePanel:
         """Load the scene of the editor; returns the future end."""
         desk = self._editor.desk
         if desk is None:
-            self._tell("no scene is being edited; draw one in 'Scene'", alert=True)
+            self._show_message("no scene is being edited; draw one in 'Scene'", alert=True)
             return None
         scene = desk.scene
         return self._do(lambda: self.graph.load(scene))
@@ -263,7 +263,7 @@ class LivePanel:
             seed = SeedPath(run_seed=run_seed, purpose=purpose, index=index)
             task, scene = self.graph.draw(task_text(name), seed)
             self.graph.load(scene)
-            self._tell(task.instruction)
+            self._show_message(task.instruction)
 
         return self._do(load)
 
@@ -271,11 +271,11 @@ class LivePanel:
         """Call services one after another; an error is shown, and raised in the future."""
 
         def called() -> Any:
-            self._tell("")
+            self._show_message("")
             try:
                 return act()
             except RoboximError as error:
-                self._tell(str(error), alert=True)
+                self._show_message(str(error), alert=True)
                 raise
 
         return self._calls.do(called)
@@ -311,5 +311,5 @@ class LivePanel:
             self._gizmo = None
         self._dragging = False
 
-    def _tell(self, text: str, *, alert: bool = False) -> None:
-        self._told.content = markup.paragraph(text, "live", alert=alert)
+    def _show_message(self, text: str, *, alert: bool = False) -> None:
+        self._message.content = markup.paragraph(text, "live", alert=alert)

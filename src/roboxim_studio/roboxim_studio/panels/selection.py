@@ -65,7 +65,7 @@ class Selection:
         self.edits: dict[str, Edit] = {}
         """Episode to what the selection changes of it."""
         marks = gui.add_button_group("Mark", ("Leave out", "Flag", "Unmark"))
-        self._told = gui.add_html("")
+        self._message = gui.add_html("")
         self.folder = gui.add_folder("Selection, distributions", expand_by_default=False)
         """Holds the form; the panel adds its distributions."""
         with self.folder:
@@ -83,7 +83,7 @@ class Selection:
         save.on_click(lambda _: self.save(str(self._name.value)) and None)
         load.on_click(lambda _: self.load(str(self._name.value)))
         audit.on_click(lambda _: threading.Thread(target=self.audit, name="audit", daemon=True).start())
-        self._handles = (marks, self._told, self.folder)
+        self._handles = (marks, self._message, self.folder)
 
     def remove(self) -> None:
         """Take it out of the panel."""
@@ -104,9 +104,9 @@ class Selection:
             found.append(("edited", "; ".join(map(described, self.edits.values()))))
         return found
 
-    def say(self, text: str, *, alert: bool = False) -> None:
+    def show_message(self, text: str, *, alert: bool = False) -> None:
         """Show a message."""
-        self._told.content = markup.paragraph(text, "run-told", alert=alert)
+        self._message.content = markup.paragraph(text, "run-told", alert=alert)
 
     # ---------------------------------------------------------------- marks and edits
 
@@ -143,7 +143,9 @@ class Selection:
         else:
             start, end = 0, shown.last
         if start > end:
-            self.say(f"nothing would be left: it would begin at step {start} and end with step {end}", alert=True)
+            self.show_message(
+                f"nothing would be left: it would begin at step {start} and end with step {end}", alert=True
+            )
             return
         self._edit(replace(before, steps=None if (start, end) == (0, shown.last) else (start, end)))
 
@@ -155,7 +157,7 @@ class Selection:
         try:
             Choice.parse([f"relabel {shown.episode} {words}"] if words else [])
         except RoboximError as error:
-            self.say(str(error), alert=True)
+            self.show_message(str(error), alert=True)
             return
         self._edit(replace(self.edits.get(shown.episode, Edit(episode=shown.episode)), instruction=words))
 
@@ -165,7 +167,7 @@ class Selection:
             if edit.steps or edit.instruction:
                 self.edits[edit.episode] = edit
             self._changed()
-        self.say(f"{described(edit)}; 'Save the selection' keeps it, the source stays as it is")
+        self.show_message(f"{described(edit)}; 'Save the selection' keeps it, the source stays as it is")
 
     # ---------------------------------------------------------------- files
 
@@ -188,7 +190,7 @@ class Selection:
         try:
             saved = read_selection(self._folder, name)
         except RoboximError as error:
-            self.say(str(error), alert=True)
+            self.show_message(str(error), alert=True)
             return
         with self._lock:
             self.edits = dict(saved.edits)
@@ -198,23 +200,23 @@ class Selection:
                 if episode in saved.left_out | saved.flagged
             }
             self._changed()
-        self.say(f"loaded {name}")
+        self.show_message(f"loaded {name}")
 
     def audit(self) -> tuple[tuple[str, Finding], ...]:
         """Audit the source, flag the episodes with faults, and list what was found; returns check and finding."""
         from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
 
-        self.say("auditing ...")
+        self.show_message("auditing ...")
         try:
             checks = audit_dataset(self._source, None, AuditConfig(render=False, pictures=0)).result.checks
         except RoboximError as error:
-            self.say(str(error), alert=True)
+            self.show_message(str(error), alert=True)
             return ()
         found = tuple((check.name, finding) for check in checks for finding in check.findings)
         self.flag(name for check in checks for finding in check.faults for name in finding.episodes)
         shown = [f"{check}: {', '.join(one.episodes) or 'all'}: {one.text}" for check, one in found[:MAX_FINDINGS]]
         more = [f"and {len(found) - MAX_FINDINGS} more"] if len(found) > MAX_FINDINGS else []
-        self.say("\n".join([*shown, *more]) or f"{len(checks)} checks found nothing")
+        self.show_message("\n".join([*shown, *more]) or f"{len(checks)} checks found nothing")
         return found
 
 

@@ -28,22 +28,22 @@ Toggle = Callable[[str], object]
 class TaskForm:
     """Composes one task; `made` is what is drawn."""
 
-    def __init__(self, gui: Any, library: ModelLibrary, tell: Callable[[str], None]) -> None:
+    def __init__(self, gui: Any, library: ModelLibrary, show_message: Callable[[str], None]) -> None:
         """Build the form in the current container.
 
         Args:
             gui: The page's inputs.
             library: Objects.
-            tell: Shows why an edit is not possible; empty: it was made.
+            show_message: Shows why an edit is not possible; empty: it was made.
         """
-        self._gui, self._library, self._tell = gui, library, tell
+        self._gui, self._library, self._show_message = gui, library, show_message
         self.made: Composition | None = None
         """The task; none: the chosen one can only be drawn."""
         self._lock = threading.RLock()
         self._parts: list[Any] = []
         self.folder = gui.add_folder("Compose", expand_by_default=False)
         with self.folder:
-            self._said = gui.add_html("")
+            self._problem = gui.add_html("")
             self._skill = gui.add_dropdown("Skill", tuple(SKILLS), initial_value="pick_up")
             self._templates = gui.add_text("Instruction", initial_value="", multiline=True, hint="One template a line.")
             self._roles = gui.add_folder("Objects")
@@ -62,7 +62,7 @@ class TaskForm:
                 self.made, problem = edits.composed(text), ""
             except RoboximError as error:
                 self.made, problem = None, str(error)
-            self._said.content = markup.paragraph(problem, "not-composed")
+            self._problem.content = markup.paragraph(problem, "not-composed")
             for one in self._inputs:
                 one.visible = self.made is not None
             self._show(anew=True)
@@ -76,10 +76,10 @@ class TaskForm:
             try:
                 self.made = change(before)
             except RoboximError as error:
-                self._tell(str(error))
+                self._show_message(str(error))
                 self._show(anew=True)  # no input keeps what was refused
                 return False
-            self._tell("")
+            self._show_message("")
             self._show(anew=_outline(before) != _outline(self.made))
             return True
 

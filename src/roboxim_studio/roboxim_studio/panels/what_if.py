@@ -8,7 +8,7 @@ from typing import Any
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_studio.acting.lab import Lab
-from roboxim_studio.acting.what_if import ACTORS, RECORDED, Answer, Question, ask, first_difference
+from roboxim_studio.acting.what_if import ACTORS, RECORDED, Answer, Question, first_difference, simulate
 from roboxim_studio.bench import Bench
 from roboxim_studio.episode.film import Film, ending
 from roboxim_studio.look.scene_view import SceneView
@@ -43,7 +43,7 @@ class WhatIfPanel:
             start = gui.add_button("Try from this tick")
             stop = gui.add_button("Stop")
             swap = gui.add_button("Open the other episode")
-            self._told = gui.add_html("")
+            self._message = gui.add_html("")
         start.on_click(lambda _: self.start())
         stop.on_click(lambda _: self._cancel.set())
         swap.on_click(lambda _: self._swap())
@@ -63,8 +63,8 @@ class WhatIfPanel:
             by_m=(float(x), float(y)), without="" if without == NOTHING else without,
         )  # fmt: skip
         self._cancel.clear()
-        self._tell("simulating ...")
-        return self._bench.do(lambda: self._ask(film, question))
+        self._show_message("simulating ...")
+        return self._bench.do(lambda: self._simulate(film, question))
 
     def compare(self, film: Film) -> None:
         """Show an episode beside the one that is open."""
@@ -74,7 +74,9 @@ class WhatIfPanel:
         self._beside.load(film.info.scene, offset_y_m=-BESIDE_M)
         differs = first_difference(first, film)
         where = "no tick differs" if differs is None else f"the first tick that differs is {differs}"
-        self._tell(f"beside: {film.title}\nit ends with {ending(film)} after {film.result.steps} actions; {where}")
+        self._show_message(
+            f"beside: {film.title}\nit ends with {ending(film)} after {film.result.steps} actions; {where}"
+        )
         self._shown(first, self._episode.tick)
 
     def hide(self) -> None:
@@ -82,15 +84,15 @@ class WhatIfPanel:
         self._beside.clear()
         self.other = None
 
-    def _ask(self, film: Film, question: Question) -> Answer | None:
+    def _simulate(self, film: Film, question: Question) -> Answer | None:
         try:
             actor = None if question.actor == RECORDED else self._lab.actor(question.actor)
-            self.answer = ask(
+            self.answer = simulate(
                 self._lab.graph, film, question, actor, on_tick=lambda state, _: self._progress(state.seq),
                 cancelled=lambda: self._cancel.is_set() or self._bench.stopping.is_set(),
             )  # fmt: skip
         except RoboximError as error:
-            self._tell(str(error), alert=True)
+            self._show_message(str(error), alert=True)
             return None
         if self._episode.film is film:
             self.compare(self.answer.film)
@@ -98,10 +100,10 @@ class WhatIfPanel:
 
     def _progress(self, seq: int) -> None:
         if seq % 5 == 0:
-            self._tell(f"simulating: tick {seq}")
+            self._show_message(f"simulating: tick {seq}")
 
-    def _tell(self, text: str, *, alert: bool = False) -> None:
-        self._told.content = markup.paragraph(text, "what-if", alert=alert)
+    def _show_message(self, text: str, *, alert: bool = False) -> None:
+        self._message.content = markup.paragraph(text, "what-if", alert=alert)
 
     def _opened(self, film: Film) -> None:
         names = tuple(entity.name for entity in film.info.scene.entities)
@@ -110,7 +112,7 @@ class WhatIfPanel:
         self._without.options = (NOTHING, *sorted(roles))
         self._beside.clear()
         self.other, self.answer = None, None
-        self._tell("")
+        self._show_message("")
         self.folder.visible = True
 
     def _shown(self, film: Film, seq: int) -> None:

@@ -79,7 +79,7 @@ class Site:
         self.received = received
         """See `Received`."""
         self._pages: dict[int, websockets.asyncio.server.ServerConnection] = {}
-        self._told: dict[str, Any] = {}
+        self._latest: dict[str, Any] = {}
         self._number = 0
         self._failed: OSError | None = None
         with self._own_sockets(), redirect_stdout(io.StringIO()):  # viser prints an address that lacks the token
@@ -106,10 +106,10 @@ class Site:
         """Number of open pages."""
         return len(self._pages)
 
-    def tell(self, **news: Any) -> None:
+    def send(self, **values: Any) -> None:
         """Send values to every page's script; a page that opens later receives the newest of each name."""
-        self._told |= news
-        text = json.dumps(news)
+        self._latest |= values
+        text = json.dumps(values)
         for connection in tuple(self._pages.values()):
             self._soon(connection.send(text))
 
@@ -198,7 +198,7 @@ class Site:
         page = self._number
         self._pages[page] = connection
         try:
-            await connection.send(json.dumps(self._told))
+            await connection.send(json.dumps(self._latest))
             async for text in connection:
                 if isinstance(text, str) and len(text) <= MAX_BYTES and (message := _object(text)):
                     self.received(page, message)

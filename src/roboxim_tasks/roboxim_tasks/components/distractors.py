@@ -94,7 +94,7 @@ class DistractorsReset(ResetComponent):
                 if not close:
                     demand = self._away(near, target, context)
                 elif number == 0:
-                    demand = self._beside(near, scene, target, thing, context)
+                    demand = self._near(near, scene, target, thing, context)
             demand = replace(demand, leaves=context.room_taken)
             scene = place(scene, thing, self.config, context, self.name, demand)
         return scene
@@ -109,7 +109,7 @@ class DistractorsReset(ResetComponent):
         distance = distance_to(target, near, context.library)
         return Demand(name="beside_target", holds=lambda entity: distance(entity) > near.distance_m)
 
-    def _beside(
+    def _near(
         self, near: NearConfig, scene: SceneSpec, target: EntitySpec, thing: PhysicalObject, context: ResetContext
     ) -> Demand:
         middle, size = centre(target, context.library), context.library.entity_model(target).size

@@ -188,8 +188,8 @@ def _with_copies(scene: SceneSpec, names: list[str], state: StateRecord) -> tupl
 
 def _away(number: int) -> Vec3:
     """Return how far from the scene an object's copy is [m]: three below each other, the next three beside them."""
-    beside, below = divmod(number, 3)
-    return (BELOW_M * beside, 0.0, -BELOW_M * (below + 1))
+    column, row = divmod(number, 3)
+    return (BELOW_M * column, 0.0, -BELOW_M * (row + 1))
 
 
 def _moved(pose: Pose, by: Vec3) -> Pose:

@@ -93,7 +93,7 @@ class Sequence(Skill):
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw the objects of all steps together, then each step's arguments and words, then the whole sentence."""
         contexts = [self._context(context, number) for number in range(len(self.steps))]
-        wording = replace(context, text=self._spoken(context.template, contexts))
+        wording = replace(context, text=self._instruction(context.template, contexts))
         objects = generate_objects(wording)
         tasks = []
         for step, skill, mine in zip(self.steps, self.skills, contexts, strict=True):
@@ -145,7 +145,7 @@ class Sequence(Skill):
         )  # fmt: skip
         return replace(context, config=config, roles=skill.roles, mismatch=skill.mismatch)
 
-    def _spoken(self, template: str, contexts: Many[GenerationContext]) -> str:
+    def _instruction(self, template: str, contexts: Many[GenerationContext]) -> str:
         """Return a template in which each step stands with its own template, in roles of the whole."""
         steps = {}
         for number, (step, context) in enumerate(zip(self.steps, contexts, strict=True), start=1):

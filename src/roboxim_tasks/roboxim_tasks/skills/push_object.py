@@ -230,10 +230,10 @@ def pushing_poses(model: ObjectModel, pose: Pose, direction: Array) -> Iterator[
     from scipy.spatial.transform import Rotation
 
     across = np.array([-direction[1], direction[0], 0.0])
-    behind, beside = extent(model, pose, -direction), min(extent(model, pose, across), extent(model, pose, -across))
+    behind, half_width = extent(model, pose, -direction), min(extent(model, pose, across), extent(model, pose, -across))
     height = min(HEIGHT_M, model.size[2] / 2)
     heading = math.atan2(direction[1], direction[0])
-    spread = min(1.0, SPREAD * 2 * beside / OPENING_M)
+    spread = min(1.0, SPREAD * 2 * half_width / OPENING_M)
     z = pose.position[2] - model.rest_height + height
     for lean in LEANS if model.size[2] < height + PALM_M else LEANS[1:]:
         for turn, opening in ((0.0, spread), (math.pi, spread), (math.pi / 2, 0.0), (-math.pi / 2, 0.0)):

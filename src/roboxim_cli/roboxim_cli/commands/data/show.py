@@ -61,4 +61,4 @@ def command(place: Path, number: int | None, policy: str, expert: bool | None, o
         click.echo(episode_text(page))
         return
     write_whole(out, episode_page(page))
-    click.echo(f"{out}: {page.told or page.outcome}")
+    click.echo(f"{out}: {page.explanation or page.outcome}")

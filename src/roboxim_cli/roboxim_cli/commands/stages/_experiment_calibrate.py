@@ -93,18 +93,18 @@ def probed(name: str, config: ExperimentConfig, known: Rates | None, trainings: 
 
     stem = Path(name).stem
     own = known is not None and known.experiment == stem
-    beside = known is not None and trainings in known.training_rates
-    if known is not None and own and beside:
+    measured = known is not None and trainings in known.training_rates
+    if known is not None and own and measured:
         return known
     size = parse_size(config.image_size)
-    what = "" if beside else f", {trainings} trainings at a time" if trainings > 1 else ""
+    what = "" if measured else f", {trainings} trainings at a time" if trainings > 1 else ""
     click.echo(
         f"no rates of this machine for {stem}, images of {config.image_size}{what}: measuring, about a minute", err=True
     )
     with tempfile.TemporaryDirectory(prefix="roboxim-mixes-") as folder:
         mix = write_mixes(checked_design(name, config), Path(folder))[0].rename(Path(folder) / f"{stem}.yaml")
         settings = CalibrationConfig.probe(
-            mix, size if isinstance(size, tuple) else (size, size), trainings=1 if beside else trainings
+            mix, size if isinstance(size, tuple) else (size, size), trainings=1 if measured else trainings
         )
         with redirect_stdout(sys.stderr), EventPrinter() as printer:
             if known is not None and own:

@@ -213,9 +213,9 @@ def _which(camera: str, ticks: list[int], seen: Mapping[str, list[Values]], want
     image = seen[camera][at]
     best, words = float(np.square(image - wanted[camera][at]).mean()) / 4, ""
     for other, images in wanted.items():
-        for tick, rival in enumerate(images):
-            if rival.shape == image.shape and (other, tick) != (camera, at):
-                left = float(np.square(image - rival).mean())
+        for tick, candidate in enumerate(images):
+            if candidate.shape == image.shape and (other, tick) != (camera, at):
+                left = float(np.square(image - candidate).mean())
                 if left < best:
                     best = left
                     words = f"tick {at} shows what {other} should show at tick {tick}"

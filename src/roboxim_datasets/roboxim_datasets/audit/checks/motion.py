@@ -84,9 +84,9 @@ class Motion(AuditCheck):
         """Compare each episode with the response of all."""
         for group in self._seen.values():
             first = group[0].chain
-            weights = response([(s.chain.asked, s.chain.measured) for s in group], first.tolerance / 20)
+            weights = response([(s.chain.commanded, s.chain.measured) for s in group], first.tolerance / 20)
             yield from _of_all(group, weights)
-            residuals = [seen.chain.measured - predicted(seen.chain.asked, weights) for seen in group]
+            residuals = [seen.chain.measured - predicted(seen.chain.commanded, weights) for seen in group]
             for seen, rows in zip(group, residuals, strict=True):
                 rows[seen.limited & _shortened(seen.chain, weights)] = 0.0
             lengths = [np.linalg.norm(rows, axis=1) for rows in residuals]
@@ -114,15 +114,15 @@ def _caught_up(limited: Flags) -> Flags:
 
 def _shortened(chain: Chain, weights: Values) -> Flags:
     """Return in which steps the arm did not move much farther than it was asked to."""
-    asked = np.linalg.norm(predicted(chain.asked, weights), axis=1)
-    return np.asarray(np.linalg.norm(chain.measured, axis=1) <= 2 * asked + 5 * chain.tolerance)
+    commanded = np.linalg.norm(predicted(chain.commanded, weights), axis=1)
+    return np.asarray(np.linalg.norm(chain.measured, axis=1) <= 2 * commanded + 5 * chain.tolerance)
 
 
 def _of_all(group: list[_Seen], weights: Values) -> Iterator[Finding]:
     """Say what is wrong with all actions at once."""
     chain = group[0].chain
     moved = np.concatenate([seen.chain.measured for seen in group])
-    left = moved - np.concatenate([predicted(seen.chain.asked, weights) for seen in group])
+    left = moved - np.concatenate([predicted(seen.chain.commanded, weights) for seen in group])
     if float(np.abs(moved).max(initial=0.0)) < chain.tolerance:
         return
     explained = 1 - float(np.square(left).sum() / np.square(moved).sum())
@@ -189,14 +189,14 @@ def _guess(chain: Chain, weights: Values, bad: Flags) -> str:
     if len(places) <= 2 and places[-1] - places[0] <= 1:
         return "; likeliest: the state jumps there, as where ticks were left out, repeated or taken from elsewhere"
     window = slice(int(places[0]), int(places[-1]) + 1)
-    asked = predicted(chain.asked, weights)[window]
-    words = likeliest(asked, chain.measured[window], _names(chain))
+    commanded = predicted(chain.commanded, weights)[window]
+    words = likeliest(commanded, chain.measured[window], _names(chain))
     where = "" if len(places) > 0.7 * len(bad) else f" from tick {places[0]} to {places[-1] + 1}"
     return f"; likeliest: the actions are edited ({words}){where}" if words else ""
 
 
 def _names(chain: Chain) -> tuple[str, ...]:
-    count = chain.asked.shape[1]
+    count = chain.commanded.shape[1]
     return ("x", "y", "z") if count == 3 else tuple(f"joint {i + 1}" for i in range(count))
 
 
@@ -291,7 +291,7 @@ def _label_problem(chain: Chain, limited: Flags, everywhere: Flags, *, planned: 
             f"{chain.unit} in {int(bad.sum())} ticks",
             bad,
         )
-    rough = np.linalg.norm(np.diff(chain.asked, axis=0, append=chain.asked[-1:]), axis=1)
+    rough = np.linalg.norm(np.diff(chain.commanded, axis=0, append=chain.commanded[-1:]), axis=1)
     bad = np.zeros(len(apart), bool)
     for start in range(len(apart) - NOISE_WINDOW + 1):
         window = slice(start, start + NOISE_WINDOW)
@@ -308,7 +308,7 @@ def _edit(chain: Chain, bad: Flags) -> str:
     window = slice(max(int(places[0]) - 1, 0), int(places[-1]) + 2)
     if window.stop - window.start < 4:
         return ""
-    words = likeliest(chain.asked[window] - chain.apart[window], chain.asked[window], _names(chain))
+    words = likeliest(chain.commanded[window] - chain.apart[window], chain.commanded[window], _names(chain))
     return f"; likeliest: edited ({words})" if words else ""
 
 

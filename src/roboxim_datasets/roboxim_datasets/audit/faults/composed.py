@@ -210,10 +210,10 @@ def _steps(
     places = [*range(count)]
     donor = EditableEpisode.of(other)
     if operator == "repeat":
-        joint = _asked(episode, start, end)
+        joint = _commanded(episode, start, end)
         episode.take([*places[:end], *places[start:end], *places[end:]])
     elif operator == "drop":
-        joint = _asked(episode, start, end)
+        joint = _commanded(episode, start, end)
         episode.take([*places[:start], *places[end:]])
     else:
         end = min(end, len(donor))
@@ -243,7 +243,7 @@ def _take_steps(episode: EditableEpisode, donor: EditableEpisode, start: int, en
         }  # fmt: skip
 
 
-def _asked(episode: EditableEpisode, start: int, end: int) -> tuple[float, float]:
+def _commanded(episode: EditableEpisode, start: int, end: int) -> tuple[float, float]:
     """Return the motion that the executed actions of some ticks sum up to."""
     rows = episode.actions if episode.executed is None else episode.executed
     total = rows[start:end].sum(axis=0)

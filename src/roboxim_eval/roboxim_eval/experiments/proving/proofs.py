@@ -261,9 +261,9 @@ def _deviating(arms: Mapping[str, Shown]) -> dict[str, str]:
             end = f"no majority of {_named(votes)} agrees"
             found |= {name: f"{what} is {form.format(value)}, {end}" for name, value in votes.items()}
             continue
-        witness = next(name for name, value in votes.items() if value == right)
+        reference = next(name for name, value in votes.items() if value == right)
         found |= {
-            name: _difference(what, form, value, witness, right) for name, value in votes.items() if value != right
+            name: _difference(what, form, value, reference, right) for name, value in votes.items() if value != right
         }
     return found
 
@@ -310,7 +310,7 @@ class Trained:
 
     shown: Shown
     """Content of its bag."""
-    asked: tuple[Demand, ...] = ()
+    instructed: tuple[Demand, ...] = ()
     """Skill and objects that the dataset's instruction names in the scene; empty: not recognised."""
     planted: str = ""
     """Fault that was planted on purpose; empty: none."""
@@ -373,22 +373,25 @@ def _exposures(demands: Mapping[str, Demand], closed: Sequence[str], episodes: S
         demand = demands[cell]
         wanted = [value for allowed in demand.models.values() for value in allowed.values]
         same = [episode.shown for episode in episodes if episode.shown.skill == demand.skill]
-        beside = sum(any(model in wanted for model in shown.others.values()) for shown in same)
-        if beside:
+        revealing = sum(any(model in wanted for model in shown.others.values()) for shown in same)
+        if revealing:
             yield (
-                f"{beside} of {len(same)} training episodes of {demand.skill} have the object of the held-out cell "
+                f"{revealing} of {len(same)} training episodes of {demand.skill} have the object of the held-out cell "
                 f"'{cell}' as a distractor"
             )
         count = sum(
-            any(_asks_for(demand, asked) and not _asks_for(demands[e.shown.cell], asked) for asked in e.asked)
+            any(
+                _asks_for(demand, instructed) and not _asks_for(demands[e.shown.cell], instructed)
+                for instructed in e.instructed
+            )
             for e in episodes
         )
         if count:
             yield f"the instructions of {count} training episodes ask for the held-out cell '{cell}'"
 
 
-def _asks_for(demand: Demand, asked: Demand) -> bool:
-    return asked.skill == demand.skill and all(
-        role in asked.models and any(not allowed.excess(value) for value in asked.models[role].values)
+def _asks_for(demand: Demand, instructed: Demand) -> bool:
+    return instructed.skill == demand.skill and all(
+        role in instructed.models and any(not allowed.excess(value) for value in instructed.models[role].values)
         for role, allowed in demand.models.items()
     )

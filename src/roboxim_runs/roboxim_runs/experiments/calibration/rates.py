@@ -41,8 +41,8 @@ def stored_rates(size: str, experiment: str) -> Rates | None:
     if not found:
         return None
     chosen = next((rates for rates in found if rates.experiment == experiment), found[-1])
-    beside = sorted((rate for rates in found for rate in rates.side_by_side), key=lambda rate: rate.measured)
-    return chosen.learned(*beside)
+    parallel = sorted((rate for rates in found for rate in rates.side_by_side), key=lambda rate: rate.measured)
+    return chosen.learned(*parallel)
 
 
 def _folder(size: str) -> Path:

@@ -106,11 +106,11 @@ class Reading:
         )  # fmt: skip
         for job in jobs:
             value = found[job.bag]
-            asked = tuple(
+            instructed = tuple(
                 Demand(skill=one["skill"], models={r: Allowed(values=(m,)) for r, m in one["models"].items()})
                 for one in value["asked"]
             )
-            yield shown_from(value["shown"]), asked
+            yield shown_from(value["shown"]), instructed
 
 
 # ------------------------------------------------------------------ training data
@@ -149,11 +149,13 @@ def prove_training(claims: Sequence[DatasetClaim], mix: Any, unseen: Sequence[st
     episodes = {claim.name: list(_episodes(open_dataset(claim.path), claim)) for claim in claims}
     instructions = dict(pair for claim in claims for pair in episodes[claim.name])
     jobs = [BagJob(bag=bag, mix="all", instruction=words) for bag, words in instructions.items()]
-    known = {shown.bag: (shown, asked) for shown, asked in reading.read("proving datasets", jobs, {"all": text})}
+    known = {
+        shown.bag: (shown, instructed) for shown, instructed in reading.read("proving datasets", jobs, {"all": text})
+    }
     found = Tally()
     for claim in claims:
         trained = [
-            Trained(shown=known[bag][0], asked=known[bag][1], planted=claim.planted.get(Path(bag).name, ""))
+            Trained(shown=known[bag][0], instructed=known[bag][1], planted=claim.planted.get(Path(bag).name, ""))
             for bag, _ in _distinct(episodes[claim.name], claim.name)
         ]
         own = training_tally(demands, unseen, claim.counts, trained)

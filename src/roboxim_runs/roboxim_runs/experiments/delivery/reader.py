@@ -138,7 +138,7 @@ class DeliveryReader:
             return replace(shown, not_compared=f"renderer {name}" if pictures else "as asked for")
         return self._with_pictures(shown, {r: thing.name for r, thing in own.items()}, info.scene, tick, demand, name)
 
-    def asked(self, bag: Path, instruction: str) -> list[dict[str, Any]]:
+    def instructed(self, bag: Path, instruction: str) -> list[dict[str, Any]]:
         """Return skill and models, by role, that an instruction may ask for in a bag's scene; empty: it says nothing.
 
         Raises:
@@ -279,9 +279,9 @@ def tool_offset(camera: CameraSpec, tool: npt.ArrayLike, picture: RGB, drawn: Ca
     if not len(rows):
         return None
     fingers = max(camera.matrix[:2]) * TOOL_M / z
-    beside = max(0.0, float(np.hypot(columns - u, rows - v).min()) - fingers)
+    sideways = max(0.0, float(np.hypot(columns - u, rows - v).min()) - fingers)
     moved = _moved(picture, drawn.rgb, (round(u), round(v)), max(8, round(WINDOW * max(camera.width, camera.height))))
-    return None if moved is None else max(beside, moved)
+    return None if moved is None else max(sideways, moved)
 
 
 def _moved(picture: RGB, drawn: RGB, at: tuple[int, int], radius: int) -> float | None:

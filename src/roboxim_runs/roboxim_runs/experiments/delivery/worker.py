@@ -49,8 +49,8 @@ class DeliveryWorker:
         wanted = from_plain(job, BagJob)
         demands = demands_of(self._mixes[wanted.mix], wanted.words, wanted.latency_ticks)
         shown = self._reader.read(Path(wanted.bag), demands.get, pictures=self._pictures)
-        asked = [] if wanted.instruction is None else self._reader.asked(Path(wanted.bag), wanted.instruction)
-        return {"shown": to_plain(shown), "asked": asked}
+        instructed = [] if wanted.instruction is None else self._reader.instructed(Path(wanted.bag), wanted.instruction)
+        return {"shown": to_plain(shown), "asked": instructed}
 
     def close(self) -> None:
         """Free the renderers."""
