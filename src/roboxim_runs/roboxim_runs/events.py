@@ -27,7 +27,8 @@ class StageStarted:
     unit: str = ""
     """Unit of the count; empty: as the title names."""
     name: str = ""
-    """Name of a stage that goes on beside others; its progress and its end have the same. Empty: it is the only one."""
+    """Name of a stage that runs in parallel with others; its progress and its end have the same. Empty: it is the only
+    one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,7 +198,7 @@ class Reporter:
         """Report `Interrupted` when Ctrl-C or a cancellation ends the block; the exception still propagates.
 
         Args:
-            state: Description of the finished work, or how to go on; a function is called when the block ends.
+            state: Description of the finished work, or how to continue; a function is called when the block ends.
         """
         try:
             yield

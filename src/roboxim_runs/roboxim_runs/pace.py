@@ -1,4 +1,4 @@
-"""How fast work goes on, and how long the rest takes."""
+"""The speed of a running job, and an estimate of its remaining time."""
 
 from __future__ import annotations
 

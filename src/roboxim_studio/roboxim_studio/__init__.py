@@ -1,1 +1,1 @@
-"""The studio: episodes, scenes and tasks, seen, edited and driven in a browser."""
+"""The studio: view, edit and drive episodes, scenes and tasks in a browser."""

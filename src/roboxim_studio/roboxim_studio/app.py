@@ -154,7 +154,7 @@ class Studio:
         """Show a recorded episode.
 
         Raises:
-            RoboximError: When it is no whole bag, or its models are unknown.
+            RoboximError: When it is not a complete bag, or its models are unknown.
         """
         film = read_film(path)
         self.watch(film)

@@ -1,4 +1,4 @@
-"""A headless Chromium, driven by its own protocol: for tests, screenshots of the documentation, and benchmarks."""
+"""A headless Chromium, driven by the DevTools protocol, for tests, screenshots of the documentation, and benchmarks."""
 
 from __future__ import annotations
 
@@ -92,14 +92,14 @@ class Page:
         return f"the page shows {shown!r}; errors of its scripts: {self.errors[-3:]}"
 
     def _connect(self, process: subprocess.Popen[Any], address: Callable[[], str]) -> None:
-        """Connect to a browser as soon as it says where.
+        """Connect to a browser as soon as it reports its address.
 
         Args:
             process: The browser.
             address: Returns its address; empty: it has not said it yet.
 
         Raises:
-            RoboximError: When it ends before, or says nothing in time.
+            RoboximError: When it ends before, or reports nothing in time.
         """
 
         def found() -> str:
@@ -246,7 +246,7 @@ class Browser(Page):
 def wait_for(
     condition: Callable[[], Any], description: str, seconds: float = WAIT_S, describe: Callable[[], str] = lambda: ""
 ) -> Any:
-    """Return the first true answer.
+    """Return the first true value of a condition.
 
     Raises:
         RoboximError: When there is none in time.

@@ -1,4 +1,4 @@
-"""A Firefox on a screen of its own (Xvfb), driven by WebDriver BiDi, which it speaks itself: for tests.
+"""A Firefox on a virtual screen (Xvfb), driven by its built-in WebDriver BiDi, for tests.
 
 Firefox offers no WebGL without a screen, so it is not started headless.
 """
@@ -24,7 +24,7 @@ PREFERENCES = {
     "network.captive-portal-service.enabled": False, "network.connectivity-service.enabled": False,
     "toolkit.telemetry.reportingpolicy.firstRun": False, "webgl.force-enabled": True,
 }  # fmt: skip
-"""Preferences of the profile: nothing is asked of the internet, and software WebGL counts as good enough."""
+"""Preferences of the profile: no requests to the internet, and software WebGL is allowed."""
 
 
 def find_firefox() -> str:
@@ -37,7 +37,7 @@ class Firefox(Page):
     """A Firefox with one page. A context manager."""
 
     def __init__(self, *, width: int = 1280, height: int = 800) -> None:
-        """Start a browser with an empty page on a screen that nobody sees.
+        """Start a browser with an empty page on a virtual screen.
 
         Args:
             width: Width of the screen [px].

@@ -1,4 +1,4 @@
-"""What ``roboxim studio WHAT`` opens: a bag, a run, a dataset, or a task."""
+"""Finds what ``roboxim studio WHAT`` opens: a bag, a run, a dataset, or a task."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Changes of an episode, each of one thing: what a counterfactual asks."""
+"""Counterfactual changes of an episode, each of one property."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def changes_of(info: EpisodeInfo, library: ModelLibrary) -> tuple[Change, ...]:
 
 
 def nominal_scene(info: EpisodeInfo) -> SceneSpec:
-    """Return the scene that an episode's task varies: that which its configuration names, else the empty table."""
+    """Return the scene that an episode's task varies: the one that its configuration names, else the empty table."""
     try:
         name = str(json.loads(info.config_json)["task"]["scene"])
     except (ValueError, KeyError, TypeError):

@@ -1,4 +1,4 @@
-"""Compares two policies in the same scenes: where they part, and which moment decides, by swapping them at a tick."""
+"""Compares two policies in the same scenes: where they diverge, and which moment decides (by swapping them)."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ class ExplainConfig:
     only: tuple[str, ...] = ()
     """Names of the changes to try; empty: all."""
     pairs: bool = True
-    """Whether to try two changes together where none alone is a cause."""
+    """Whether to try pairs of changes if no single change is a cause."""
 
     def __post_init__(self) -> None:
         """Check the values.

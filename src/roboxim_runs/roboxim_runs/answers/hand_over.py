@@ -1,7 +1,7 @@
-"""An actor that repeats an episode up to a tick, from where another one acts: the state there is exactly the same.
+"""An actor that repeats an episode up to a tick and then hands over to another actor.
 
-Repeating the executed actions from the same scene restores everything, contacts and the solver's memory included, since
-the simulator is deterministic. `roboxim_studio.acting.what_if` and `roboxim_runs.answers.comparing` use it.
+The other actor starts in exactly the same state: the simulator is deterministic, so repeating the executed actions from
+the same scene restores everything, contacts and the solver's memory included. `roboxim_studio.acting.what_if` and `roboxim_runs.answers.comparing` use it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from roboxim_core.state import StateRecord
 
 
 class HandOver:
-    """An actor that repeats recorded actions up to a tick and then lets another one act, or goes on repeating."""
+    """An actor that repeats recorded actions up to a tick; then another actor acts, or the repetition continues."""
 
     def __init__(
         self, states: Sequence[StateRecord], tick: int, then: ActorPort | None, *,

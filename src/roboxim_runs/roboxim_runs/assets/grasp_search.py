@@ -29,7 +29,7 @@ SPARE_M = 0.008
 ROOMS_M = (0.022, 0.012)
 """Openings before a grasp beyond the width of what is grasped: wide if the shape leaves room for it [m]."""
 MAX_BLOCKED = 400
-"""Candidates at which the search ends whose open hand is inside something; these cost little."""
+"""Number of candidates with a colliding open hand at which the search ends; these cost little."""
 STEEP = math.cos(math.radians(45))
 """Least share of its closing direction that is level: fingers do not fit under an object."""
 TILTS_RAD = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
@@ -39,7 +39,7 @@ CLEARANCE_M = 0.002
 SLIDE_M = 0.008
 """How far up its approach a grasp may be moved to keep off the table: half a fingertip's pad [m]."""
 YAW_RAD, PLACE_M = math.radians(30), 0.02
-"""Grasps whose closing directions and places differ by less are of one family [rad, m]."""
+"""Grasps whose closing directions and positions differ by less belong to one family [rad, m]."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -87,7 +87,7 @@ class Imported:
 
 
 def guessed_unit(longest: float) -> str:
-    """Return the unit in which a mesh is nearest to the size of things that a hand holds.
+    """Return the unit in which a mesh comes closest to the size of objects that a hand holds.
 
     Args:
         longest: Its longest side in the file's unit.

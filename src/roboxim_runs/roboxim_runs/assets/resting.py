@@ -22,7 +22,7 @@ SECONDS = 2.5
 STILL = (0.01, 0.1)
 """Speeds below which an object is at rest [m/s, rad/s]."""
 SAME_RAD = math.radians(8)
-"""Poses whose vertical axes differ by less are one [rad]."""
+"""Poses whose vertical axes differ by less count as the same pose [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +99,7 @@ def _between(one: Array, other: Array) -> float:
 
 
 def _without_yaw(pose: Pose) -> Pose:
-    """Return a pose without its yaw, at x = y = 0."""
+    """Return a pose with its yaw removed, at x = y = 0."""
     up = _up(pose)
     turn, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])
     return Pose.from_arrays((0.0, 0.0, pose.position[2]), turn)

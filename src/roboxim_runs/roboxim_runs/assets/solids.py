@@ -15,7 +15,7 @@ from roboxim_core.models.hulls import load_mesh
 from roboxim_core.poses import Array
 
 NEARLY_CONVEX = 0.95
-"""Share of its convex hull's volume from which a solid is one convex part."""
+"""Smallest share of its convex hull's volume at which a solid counts as one convex part."""
 MAX_PARTS = 16
 """Most convex parts of an object; PyBullet keeps that many shapes of a link."""
 

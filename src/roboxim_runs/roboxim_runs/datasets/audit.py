@@ -60,7 +60,7 @@ class AuditConfig:
     """Runs, folders of bags or bags in which a dataset's episodes are looked up, for the checks that need ground
     truth."""
     against: Path | None = None
-    """Another dataset of the same episodes, which says what every value should be; none: bags do, if they are given."""
+    """Another dataset of the same episodes, with the expected values; none: those of the bags, if given."""
     render: bool = True
     """Whether to render segmentation images, for the checks of visibility and colours."""
     replay: bool = False
@@ -127,8 +127,8 @@ def audit_dataset(
     Raises:
         CancelledError: When the audit was cancelled.
         ConfigError: When the path is neither bags nor a dataset, or a check is unknown.
-        RecorderError: When the dataset's description is damaged, or the report cannot be written. An episode that
-            cannot be read is reported, and the others are audited.
+        RecorderError: When the dataset's description is damaged, or the report cannot be written. An unreadable episode
+            is reported; the others are audited.
     """
     path, config = Path(path), config or AuditConfig()
     if out is not None:

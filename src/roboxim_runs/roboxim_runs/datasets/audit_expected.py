@@ -1,4 +1,4 @@
-"""What the episodes of an audited dataset should be: an export of their bags, or another dataset's episodes.
+"""Expected episodes of an audited dataset: an export of their bags, or another dataset's episodes.
 
 The export's own code makes the expected values, in memory, with the settings that the dataset's ``export.json`` states.
 """
@@ -39,7 +39,7 @@ class Expected:
     lossless: bool
     """Whether images should be equal pixel by pixel."""
     unclaimed: set[str] = field(default_factory=set)
-    """Expected episodes that no audited one has claimed yet."""
+    """Expected episodes that no audited episode has been matched with yet."""
 
 
 def expected_of_bags(dataset: Dataset, bags: Mapping[str, list[Path]]) -> Expected | str:

@@ -38,7 +38,7 @@ ROBOT, TABLE = "robot", "table"
 SIDE_PX = 256
 """Side of the image that numbers of pixels are given for [px]."""
 LOOKS = 8
-"""Ticks before the first touch at which visibility is measured, beside tick 0."""
+"""Ticks before the first touch at which visibility is measured, besides tick 0."""
 MIN_PIXELS = 50
 """Fewest pixels of an object from which its colour is taken."""
 SAME_SIZE = 1.1

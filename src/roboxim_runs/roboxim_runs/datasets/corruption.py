@@ -1,4 +1,4 @@
-"""Plants faults in copies of bags and datasets: for tests of the audit, and for experiments on what a fault costs.
+"""Plants faults in copies of bags and datasets, to test the audit and to measure how faults affect training.
 
 The source is never changed. ``<copy>-planted.json`` lists what was planted, so that a test can score an audit's recall.
 """

@@ -1,13 +1,13 @@
 """The replay gate: a dataset's own actions, executed again, must still solve its tasks.
 
-A dataset can load without an error and yet hold actions that lead nowhere: after rounding, another representation or a
-lower rate. The gate takes the actions as a trainer reads them, converts them back, and executes them in the simulator
-from each episode's restored scene. Two streams are executed:
+A dataset can load without an error although its actions no longer solve the task, e.g. after rounding, a change of
+representation or a lower rate. The gate takes the actions as a trainer reads them, converts them back, and executes
+them in the simulator from each episode's restored scene. Two streams are executed:
 
 - the *executed* actions (``sim.action_executed``). They contain the noise of the demonstrations and must reproduce the
   episode. At the recorded rate, end-effector actions must retain every success.
-- the *labels* alone. Labels correct the noise that preceded them, so that without it they lead elsewhere; their result
-  is binding only for episodes without noise.
+- the *labels* alone. Labels correct the noise that preceded them and lead elsewhere without it, so their result is
+  binding only for episodes without noise.
 
 Bags hold the scenes. They are found by episode id and by the hash of the final state.
 """
@@ -45,7 +45,7 @@ from roboxim_sim.world import World
 REQUIRED = 0.95
 """Part of the successes that an export must retain."""
 APART_M = 1e-3
-"""A replay that is farther from the recording than this [m] has left it."""
+"""A replay farther from the recording than this has diverged [m]."""
 Stream = Literal["executed", "labels"]
 
 

@@ -91,7 +91,7 @@ def _touch(recorded: Recorded) -> int | None:
 
 @SIMULATED_FAULTS.register("continues_after_done")
 class ContinuesAfterDone(SimulatedFault):
-    """The arm goes on after the success (thesis 6.1.2, issue 1)."""
+    """The arm keeps moving after the success (thesis 6.1.2, issue 1)."""
 
     title = "fifteen more ticks, in which the hand rises"
     found_by = "continues_after_done"
@@ -253,7 +253,7 @@ class Twin(SimulatedFault):
     gap_m = 0.10
 
     def plans(self, recorded: Recorded, sim: Reenactor, rng: np.random.Generator) -> Iterator[Plan]:
-        """Put a copy of the object where it is in nobody's way."""
+        """Put a copy of the object where it obstructs nothing."""
         scene, target = recorded.info.scene, recorded.info.task.objects.get("target")
         if target is None or scene.entity(target.entity).joint_positions or "twin" in {e.name for e in scene.entities}:
             return

@@ -1,6 +1,6 @@
-"""RoboXim inside other programs: episodes whose actions come from outside, one call per action.
+"""RoboXim as an environment of other programs, which supply one action per call.
 
-`EpisodeSession` is the episode loop turned inside out, over the rooms' cores: no nodes, one process. The Gymnasium
-environment and the vla-eval benchmark are two thin adapters of it. An episode there has the scene, the limits and the
-verdict that ``evaluate`` gives.
+`EpisodeSession` runs the episode loop step by step over the rooms' cores, in one process without nodes. The Gymnasium
+environment and the vla-eval benchmark are thin adapters of it. An episode has the same scene, limits and verdict as
+with ``evaluate``.
 """

@@ -154,7 +154,7 @@ class _Prober:
         return lambda _, __: self._env.action_space.sample()
 
     def _whole(self, actor: Callable[[int], Actor], *, words: bool = True) -> list[Trace]:
-        """Play whole episodes, each with an actor of its own."""
+        """Play complete episodes, each with its own actor."""
         seeds = range(OTHER_SEEDS, OTHER_SEEDS + self._config.episodes)
         return [self._play(self._env, seed, actor(seed), words=words) for seed in seeds]
 
@@ -208,7 +208,7 @@ class _Prober:
         return self._play(self._env, 0, [np.full(space.shape, np.nan, space.dtype)], may_refuse=True)
 
     def _memory(self) -> Iterator[str]:
-        """Yield what is wrong with memory that the environment and its caller share."""
+        """Yield faults of memory that the environment and its caller share."""
         observation, _ = self._env.reset(seed=0)
         before = digest(observation)
         [action] = random_actions(self._env, 4, 1)

@@ -1,4 +1,4 @@
-"""Episodes whose actions come from outside, over the rooms' cores."""
+"""Episodes over the rooms' cores whose actions the caller supplies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The line above a picture of an episode: its instruction, and a compass of the robot's directions."""
+"""The caption of an episode's picture: its instruction, and a compass of the robot's directions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An episode of the expert in this process, with everything that a policy could have seen and done in it."""
+"""An expert's episode in this process, with the observations that a policy would receive and the actions."""
 
 from __future__ import annotations
 

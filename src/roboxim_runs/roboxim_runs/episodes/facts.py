@@ -22,7 +22,7 @@ from roboxim_core.plain_data.results_log import ResultsLog
 
 FACTS_FILE = "facts.jsonl"
 NOT_IN_BAGS = ("wall_s", "inference_s", "bag")
-"""Fields of a result that its bag does not have."""
+"""Fields of a result that its bag lacks."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ def episode_facts(
 
     Raises:
         ConfigError: When the stored facts are damaged.
-        RecorderError: With code ``BAG_DAMAGED`` when a bag is not whole, or ended otherwise than its result says.
+        RecorderError: With code ``BAG_DAMAGED`` when a bag is incomplete, or its end differs from its result.
     """
     log = ResultsLog(folder / FACTS_FILE)
     found = {entry.key: _loaded(entry.data, str(log.path)) for entry in log.read()}

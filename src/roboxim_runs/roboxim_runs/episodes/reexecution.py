@@ -1,6 +1,6 @@
 """Executes actions again from an episode's restored scene, as the episode loop would, and judges them.
 
-There is no node graph, and there are no cameras, which no verdict needs.
+It starts no node graph and renders no cameras: no verdict needs them.
 """
 
 from __future__ import annotations

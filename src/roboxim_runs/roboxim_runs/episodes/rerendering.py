@@ -1,8 +1,8 @@
 """Renders recorded episodes again with other cameras, lights, materials, resolution or renderer.
 
-No graph is started: a bag holds the scene and the state of every tick, which is all that a renderer needs. Images come
-from the same code as in the sim node (`roboxim_sim.rendering.camera_effects`). Unchanged settings therefore give the
-recorded images, bit for bit on one type of machine. All topics other than the cameras' are copied byte for byte.
+No graph is started: the scene and the states in a bag are all that a renderer needs. Images come from the same code as
+in the sim node (`roboxim_sim.rendering.camera_effects`). Unchanged settings therefore give the recorded images, bit for
+bit on one type of machine. All topics other than the cameras' are copied byte for byte.
 """
 
 from __future__ import annotations

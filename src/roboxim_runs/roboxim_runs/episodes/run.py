@@ -310,7 +310,7 @@ def _leaves_nothing(launch: PolicyLaunch) -> bool:
 def run_environment(kind: str, out: Path | str = "") -> Iterator[dict[str, str]]:
     """Reserve a ROS domain for a run and register the run for other terminals.
 
-    This process does not take part, so its environment stays unchanged.
+    The calling process runs no episode, so its environment stays unchanged.
 
     Args:
         kind: Kind of the run, e.g. ``generate``.
@@ -352,7 +352,7 @@ def run_episodes(
     repair: bool = False,
     prepare: Prepare = unchanged,
 ) -> list[EpisodeResult]:
-    """Run those episodes of a job that its folder lacks.
+    """Run the episodes of a job that are missing in its folder.
 
     Args:
         job: Episodes to run.

@@ -1,4 +1,4 @@
-"""Gathers the page of a recorded episode: from its bag, its run's log, and what others did in the same scene."""
+"""Collects the content of a recorded episode's page: its bag, its run's log, and other episodes of the same scene."""
 
 from __future__ import annotations
 

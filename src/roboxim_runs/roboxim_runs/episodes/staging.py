@@ -1,8 +1,9 @@
-"""Folders in which workers record that the run does not trust to end when it gives them up.
+"""Recording folders of workers that may keep writing after the run has given them up.
 
-A worker on another machine may go on for seconds after the run has given it up and repeats its episode elsewhere. So it
-records into a folder of its own, ``<out>/.partial/w<number>-<random>``, or for a run with a store in a temporary folder
-of its machine, whose bags it uploads. The run moves a bag to its place when it has the result; nobody else does.
+A worker on another machine may keep running for seconds after the run has given it up and repeats its episode
+elsewhere. So it records into its own folder, ``<out>/.partial/w<number>-<random>``, or, if the run has a store, into a
+temporary folder of its machine, from which it uploads the bags. Only the run moves a bag to its place, when it has the
+result.
 """
 
 from __future__ import annotations

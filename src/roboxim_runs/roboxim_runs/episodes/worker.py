@@ -1,4 +1,4 @@
-"""The worker for runs of episodes: a whole graph in this process that runs one episode at a time."""
+"""The worker for runs of episodes: a graph in this process that runs one episode at a time."""
 
 from __future__ import annotations
 

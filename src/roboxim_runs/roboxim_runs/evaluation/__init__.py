@@ -1,1 +1,1 @@
-"""Evaluations of policies: what is refused before, the run, its results and its report."""
+"""Evaluations of policies: checks before the start, the run, its results and its report."""

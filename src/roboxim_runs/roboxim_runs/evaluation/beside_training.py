@@ -52,7 +52,7 @@ class Score:
 
 @dataclass
 class _Worker:
-    """A worker, and the policy that acts in its episodes."""
+    """A worker, with the policy that acts in its episodes."""
 
     process: subprocess.Popen[bytes]
     connection: Connection[Any, Any]
@@ -68,7 +68,7 @@ class Evaluator:
     - Scenes have the purpose ``train``: choosing a checkpoint by them does not use up the scenes of ``evaluate``.
       Each call has the same scenes, so that its numbers can be compared with those of the call before.
     - The first call starts the workers, which takes some seconds; the later ones find them warm.
-    - An exception of the policy is raised as it is, and ends the workers; the next call starts new ones.
+    - An exception of the policy is raised unchanged, and ends the workers; the next call starts new ones.
     """
 
     def __init__(

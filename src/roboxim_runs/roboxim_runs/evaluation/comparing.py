@@ -1,4 +1,4 @@
-"""Compares evaluations of the past: their policies side by side, paired where they met the same scenes."""
+"""Compares finished evaluations: their policies side by side, paired where they met the same scenes."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def compare_evaluations(folders: Sequence[Path], out: Path, *, film: FilmOptions
 
 
 def _names(folders: Sequence[Path]) -> list[str]:
-    """Return the shortest ends of the folders' paths that tell them apart."""
+    """Return the shortest ends of the folders' paths that distinguish them."""
     parts = [folder.resolve().parts for folder in folders]
     for length in range(1, max(map(len, parts)) + 1):
         names = ["/".join(part[-length:]) for part in parts]

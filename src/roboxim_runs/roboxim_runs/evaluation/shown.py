@@ -1,4 +1,4 @@
-"""Policies as a report shows them: what their bags say, films of some scenes, and a page for each of those episodes.
+"""Policies as a report shows them: facts from their bags, films of some scenes, and a page for each of those episodes.
 
 The report is imported where it is needed: the import takes seconds.
 """

@@ -1,7 +1,7 @@
-"""Chooses the best of many checkpoints by successive halving, and measures it in scenes that did not choose it.
+"""Chooses the best of many checkpoints by successive halving, and measures it in fresh scenes.
 
-Scenes of the choice and fresh ones are two evaluations with different seeds, in two folders. Each continues what its
-folder holds, so that the same call continues an interrupted sweep.
+The scenes of the choice and the fresh scenes are two evaluations with different seeds, in two folders. The same call
+continues an interrupted sweep.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class SweepResult:
     winner: PolicySpec
     """The chosen policy."""
     fresh: SuccessRate
-    """Its rate in scenes that did not choose it."""
+    """Its rate in fresh scenes."""
     evaluation: EvaluationResult
     """These scenes."""
 

@@ -1,4 +1,4 @@
-"""From where a task's cameras look, and whether a policy was trained with them."""
+"""Viewpoints of a task's cameras, and whether a policy was trained with them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ if TYPE_CHECKING:
 
 
 def view_warnings(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) -> tuple[str, ...]:
-    """Return a sentence for each policy that is shown a camera from where it did not look in its training.
+    """Return a sentence for each policy that receives a camera with another viewpoint than in its training.
 
-    A policy whose checkpoint does not say from where its cameras looked gives none.
+    A policy whose checkpoint states no viewpoints gives none.
 
     Args:
         chosen: The policies.

@@ -1,4 +1,4 @@
-"""Runs jobs one after the other in the calling process: for one worker that is quick to make, and for tests."""
+"""Runs jobs one after the other in the calling process: for tests, and for a worker that starts quickly."""
 
 from __future__ import annotations
 

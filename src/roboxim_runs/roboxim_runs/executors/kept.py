@@ -26,8 +26,8 @@ from roboxim_bringup.process import stop
 Spawned = tuple[subprocess.Popen[bytes], "Connection[Any, Any]"]
 """A worker's process, and the connection to it."""
 MAX_WORKS = 8
-"""Number of works that a process serves before it ends; memory that libraries keep of each work, e.g. compiled
-policies, adds up."""
+"""Number of runs that a process serves before it ends; memory that libraries keep of each work, e.g. compiled policies,
+adds up."""
 
 
 class KeptProcesses:

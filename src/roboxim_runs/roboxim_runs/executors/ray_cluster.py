@@ -3,7 +3,7 @@
 Non-obvious:
 - Ray decides where a worker runs and reports lost nodes. RoboXim itself handles jobs, retries and results
   (`roboxim_runs.executors.pool`), so that a run is the same on every executor.
-- A worker on a disconnected node may go on for seconds while another one repeats its job. Workers of a cluster
+- A worker on a disconnected node may keep running for seconds while another one repeats its job. Workers of a cluster
   therefore never write into the folder of finished episodes; see ``staged``.
 - When the cluster's head is lost for long, Ray ends the process that runs the jobs. The same command continues.
 """

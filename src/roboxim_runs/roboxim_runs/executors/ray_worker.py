@@ -1,4 +1,4 @@
-"""A Ray actor that has one worker: a subprocess on the actor's node, in a ROS domain of its own there.
+"""A Ray actor with one worker: a subprocess on the actor's node, in its own ROS domain.
 
 The actor's process imports no ROS: rclpy in an actor needs an environment that the actor's process was not started
 with, and forks of it hang. It starts the worker as a program, with an environment of named variables, and passes on the

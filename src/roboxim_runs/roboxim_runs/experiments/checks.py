@@ -1,4 +1,4 @@
-"""What a folder of an experiment must share with a call that continues it."""
+"""Checks that a call may continue an experiment's folder."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What an experiment's file names but does not hold: tasks, scenes, cameras and models, as hashes.
+"""Hashes of the files that an experiment's file refers to: tasks, scenes, cameras and models.
 
-A stage's inputs name them. Episodes before and after an edit of one of these files would be drawn or judged by other
-rules, so a folder that has episodes refuses other definitions.
+A stage's inputs contain them. An edit of such a file changes how episodes are drawn or judged, so a folder with
+episodes refuses other definitions.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ def _scale_words(scale: str) -> str:
 def _stating_reductions(
     config: ExperimentConfig, whole: ExperimentConfig, words: str, trainer: str
 ) -> ExperimentConfig:  # fmt: skip
-    """Return an experiment with one more deviation, which says where it differs from the whole one."""
+    """Return an experiment with one more deviation, which states how it differs from the original."""
     reduced = reductions(whole, config, trainer_name(config, trainer))
     return replace(config, deviations=(*config.deviations, f"{words}{reduced}.")) if reduced else config
 
@@ -232,10 +232,10 @@ def checked_design(name: str, config: ExperimentConfig, trainer: str = "") -> De
 
 
 def _require_distinguishable(name: str, design: Design) -> None:
-    """Refuse an experiment whose demonstrations would be taken for those of a held-out cell.
+    """Refuse an experiment whose demonstrations cannot be distinguished from those of a held-out cell.
 
     Raises:
-        ConfigError: Naming the first two cells, and what tells cells apart.
+        ConfigError: Naming the first two such cells, and the properties that distinguish cells.
     """
     unseen = [cell.key for cell in design.cells if cell.unseen]
     held_out = {data: [cell for cell in unseen if cell not in counts] for data, counts in design.datasets.items()}

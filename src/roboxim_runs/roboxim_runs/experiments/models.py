@@ -1,4 +1,4 @@
-"""Compares models: runs of an experiment, on the scenes that they shared where their results are there."""
+"""Compares models: runs of the same experiment, paired on shared scenes where their results are available."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -
         The comparison, and name to card.
 
     Raises:
-        ConfigError: When two have the same name, a card was changed, nothing is common, or rollouts were asked
-            different things.
+        ConfigError: When two models have the same name, a card was changed, nothing is common, or the rollouts had
+            different tasks.
     """
     cards: dict[str, Card] = {}
     runs: dict[str, ExperimentFolder] = {}

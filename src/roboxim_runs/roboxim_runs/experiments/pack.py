@@ -1,11 +1,11 @@
-"""Moves an experiment or a benchmark: results, checkpoints, cards and reports in one file, without bags and datasets.
+"""Packs an experiment or a benchmark into one file: results, checkpoints, cards and reports, no bags and datasets.
 
-What remains suffices for reports, comparisons and further evaluations of the checkpoints. The pack has a manifest with
-the hash of each file, by which it is checked when it is unpacked.
+The pack suffices for reports, comparisons and further evaluations of the checkpoints. It has a manifest with the hash
+of each file, which is checked when the pack is unpacked.
 
-``bc`` checkpoints of finished trainings are three quarters state of the optimiser, which nothing reads any more. They
-are packed without it, see `roboxim_policies.learning.checkpoint.policy_only`. The hashes that the experiment's log and
-card state are those of the whole files; the manifest names them too.
+Three quarters of a finished ``bc`` checkpoint are the state of the optimiser, which is not needed any more and is left
+out, see `roboxim_policies.learning.checkpoint.policy_only`. The experiment's log and card state the hashes of the
+original files; the manifest contains them too.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MANIFEST = "pack.json"
 MAX_BYTES = 200_000_000
 """Largest size of a pack, so that it can be moved; see `pack`."""
 LEFT_OUT = {*PLACES.values(), PARTIAL, "logs"}
-"""Folders of a run that are not packed, wherever they are."""
+"""Folders of a run that are not packed, at any level."""
 
 
 @dataclass(frozen=True, kw_only=True)

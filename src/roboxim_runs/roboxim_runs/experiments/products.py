@@ -1,7 +1,7 @@
-"""What is left of the products of an experiment's finished stages.
+"""Finds which products of an experiment's finished stages still exist.
 
-`roboxim experiment pack` leaves bags and datasets out. A run that was not finished needs them again: its next training
-reads an export, and its next proof reads bags. Such stages run again, which gives the same demonstrations.
+`roboxim experiment pack` leaves bags and datasets out. An unfinished run needs them again: the next training reads an
+export, and the next proof reads bags. Their stages then run again, which gives the same demonstrations.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from roboxim_runs.storage.folder import RunFolder
 
 
 def lost_products(stages: Mapping[str, Stage], done: Collection[str], pending: Iterable[Stage], out: Path) -> set[str]:
-    """Return the finished stages whose products are gone although stages that are to run read them.
+    """Return the finished stages whose products are missing although a later stage needs them.
 
     Args:
         stages: All stages by name.

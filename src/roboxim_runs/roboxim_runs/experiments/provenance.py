@@ -63,7 +63,7 @@ def device(proc: Path = Path("/proc")) -> str:
     """Return the machine's processor and its NVIDIA GPUs, e.g. ``AMD EPYC, NVIDIA H100 80GB HBM3``.
 
     Args:
-        proc: Where the kernel and the GPUs' driver tell about the machine.
+        proc: Files in which the kernel and the GPUs' driver describe the machine.
     """
     processors = _values(proc / "cpuinfo", "model name") or [platform.machine()]
     gpus = sorted(proc.glob("driver/nvidia/gpus/*/information"))
@@ -217,8 +217,8 @@ class Attestations:
             name: ``CONDITION.R``.
             steps: Its training steps as planned; 0: unknown.
             dataset_sha256: Hash of the dataset that was exported for it; empty: unknown.
-            here: Whether a command of this run trained it, so that its steps and dataset are known. What nobody said
-                about a training elsewhere stays out.
+            here: Whether a command of this run trained it, so that its steps and dataset are known. Facts that were not
+                stated about a training elsewhere are left out.
 
         Raises:
             ConfigError: When a key is wrong, or the training used another dataset than it was given.

@@ -2,9 +2,9 @@
 
 ``OUT/experiment.json`` holds the experiment and the inputs of every stage, ``OUT/stages.jsonl`` a line for each
 finished stage, in the order in which they ended. The same call continues: finished stages are skipped, and an
-unfinished one continues as its run does. A stage whose inputs have changed is refused by name, and so are another
-renderer than that of finished stages, and changed files that the experiment names. Each line also states the code that
-the stage ran with, for the card.
+unfinished one continues as its run does. A stage whose inputs have changed is refused by name. A renderer that differs
+from that of finished stages is refused too, and so are changed files that the experiment refers to. Each line also
+states the version of the code, for the card.
 """
 
 from __future__ import annotations
@@ -404,7 +404,7 @@ class _Run:
         self._log(stage, time.monotonic() - started, continued=continued, **made)
 
     def _clear(self, stage: Stage) -> None:
-        """Set apart what is left of a stage that is to run again because its bags or its dataset are gone."""
+        """Set apart the remains of a stage that must run again because its bags or its dataset are gone."""
         folder = self.out / stage.name
         again = stage.name in self._lost or (
             not self.config.shard and folder.exists() and not has_product(stage, self.out)

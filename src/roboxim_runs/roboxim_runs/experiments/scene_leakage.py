@@ -1,8 +1,8 @@
-"""What the scenes of an experiment tell without its words.
+"""Scene leakage: what the scenes of an experiment reveal about the instruction.
 
-They tell the object where no other one is in the scene, or where others lie in a wider area, and the task where it
-alone has a certain object. A policy can then succeed without the instruction. Where a held-out scene allows only what
-is asked for, a policy cannot do anything else that it was trained to do: a substitution of 0 says nothing there.
+A scene reveals the object if it contains no other object, or if the others lie in a wider area. It reveals the task if
+no other task has a certain object. A policy can then succeed without the instruction. If a held-out scene allows only
+the instructed task, a policy cannot do anything else that it was trained to do, so a substitution of 0 has no meaning.
 
 The facts are from the task files, which a card does not hold.
 """
@@ -22,7 +22,7 @@ from roboxim_tasks.task_config import TaskConfig
 
 
 def scene_leakage(design: Design) -> tuple[str, ...]:
-    """Return a sentence for each thing that the scenes of an experiment tell; empty: none of these.
+    """Return a sentence for each fact that the scenes of an experiment reveal; empty: none.
 
     Args:
         design: The experiment.

@@ -1,4 +1,4 @@
-"""How an experiment's stages run: each an ordinary run in a folder of its own, or a proof.
+"""Runs the stages of an experiment: each is an ordinary run in its own folder, or a proof.
 
 Trainings are in `roboxim_runs.training.commands`.
 """

@@ -1,1 +1,1 @@
-"""Policies of a run: names and options, servers and what they are recognised by, dry runs."""
+"""Policies of a run: names and options, servers and their identity, dry runs."""

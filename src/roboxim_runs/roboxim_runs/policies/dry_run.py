@@ -1,4 +1,4 @@
-"""The dry run of a remote policy: one real episode's observations, the answers to them, and what looks wrong."""
+"""The dry run of a remote policy: observations of a real episode, the answers to them, and suspicious findings."""
 
 from __future__ import annotations
 

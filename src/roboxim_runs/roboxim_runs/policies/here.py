@@ -1,4 +1,4 @@
-"""Policies of the calling process, as a notebook defines them: this process serves them to the simulators of a run."""
+"""Policies that the calling process defines, e.g. a notebook; the process serves them to the simulators of a run."""
 
 from __future__ import annotations
 

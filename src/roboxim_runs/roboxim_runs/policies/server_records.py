@@ -1,7 +1,7 @@
 """What an evaluation records of a remote policy's server, and how it recognises the model when it continues.
 
-A server is queried before the first worker starts: a server that is not there, a convention that does not fit its
-metadata, and a model other than the one that a folder's results come from are refused at once.
+A server is queried before the first worker starts. A missing server, a convention that does not fit its metadata, and a
+model other than that of the folder's results are refused at once.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Policies that processes of their own serve to all simulators of a run, wherever these are.
+"""Policies that separate processes serve to all simulators of a run, on any machine.
 
-A server is a job that does not end: an executor places it, notices its death and starts it again, as it does with any
-worker. A simulator whose server is lost gives its episode up; the worker that repeats it receives the new address.
+A server is a job that does not end: the executor places it and restarts it when it dies, like any worker. A simulator
+that loses its server gives its episode up; the worker that repeats the episode receives the new address.
 """
 
 from __future__ import annotations

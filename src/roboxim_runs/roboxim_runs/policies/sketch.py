@@ -1,7 +1,7 @@
-"""Sketches of what a camera sees: table, robot, gripper, left and right, as lines.
+"""Line sketches of a camera's view: table, robot, gripper, left and right.
 
-A person compares the picture that a policy is sent with the sketch of what it was trained on: a mirrored or turned one
-shows at once.
+Comparing the picture sent to a policy with the sketch of its training's view shows at once whether the picture is
+mirrored or rotated.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Sketch:
     """Draws the lines of one scene as a camera sees them."""
 
     def __init__(self, scene: SceneSpec, state: StateRecord) -> None:
-        """Place what is drawn.
+        """Compute the points that are drawn.
 
         Args:
             scene: The scene.

@@ -1,7 +1,7 @@
-"""Waiting for a policy's server that is away: how long, how often, and what the user reads meanwhile.
+"""Waiting for a policy's server that does not answer: time limit, retries, and messages to the user.
 
-An episode whose policy could not be reached has no result. Its worker tries it again, with pauses that grow, until the
-server is back or the patience ends; then the run stops, and the same command continues it.
+An episode whose policy could not be reached has no result. Its worker tries it again, with growing pauses, until the
+server is back or the time limit is reached. Then the run stops; the same command continues it.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ CONTINUES = "No episode that was not played is counted; start the server again, 
 
 
 class Patience:
-    """Patience of one worker with the policy of one episode."""
+    """Retries of one worker for the policy of one episode."""
 
     def __init__(self, wait_s: float, clock: Callable[[], float] = time.monotonic) -> None:
-        """Start with none of it used.
+        """Start the wait.
 
         Args:
             wait_s: Longest wait for a server that is away [s].

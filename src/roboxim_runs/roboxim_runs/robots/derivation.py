@@ -1,4 +1,4 @@
-"""A robot's files from somebody's URDF: `roboxim robot new`.
+"""Derives a robot's files from a URDF: `roboxim robot new`.
 
 The arm is cut out between base and flange, every name gets the robot's prefix, visual meshes are decimated to GLB,
 collision meshes become convex parts that cover them, a gripper is mounted, and the pairs of links that self-collision

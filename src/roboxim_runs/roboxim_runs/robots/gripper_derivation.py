@@ -1,4 +1,4 @@
-"""A gripper's files from somebody's URDF: `roboxim robot gripper`.
+"""Derives a gripper's files from a URDF: `roboxim robot gripper`.
 
 Joints with ``<mimic>`` become followers of the finger on their side. The map from opening to joint position is
 measured: the distance between the two finger tips over the range of the driven joints.

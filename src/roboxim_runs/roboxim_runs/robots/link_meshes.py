@@ -1,4 +1,4 @@
-"""Visual and collision meshes of a link, from somebody's URDF to the files that RoboXim uses."""
+"""Converts the visual and collision meshes of a URDF's link to the files that RoboXim uses."""
 
 from __future__ import annotations
 

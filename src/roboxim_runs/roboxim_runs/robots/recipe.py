@@ -1,4 +1,4 @@
-"""What `roboxim robot new` needs to know beyond a URDF: the mount of the gripper, and limits that a URDF lacks."""
+"""The inputs of `roboxim robot new` besides a URDF: the mount of the gripper, and limits that a URDF lacks."""
 
 from __future__ import annotations
 

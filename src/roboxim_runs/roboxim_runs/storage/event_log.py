@@ -1,4 +1,4 @@
-"""Events of a run as JSON lines, for programs: a file that grows while the run goes on.
+"""Events of a run as JSON lines, for programs: a file that grows during the run.
 
 A line is a JSON object with ``time`` (UTC, ISO 8601), ``event`` (the class's name in snake_case) and the event's
 fields. Each run of episodes has its own file, ``<out>/events.jsonl``; ``roboxim --events FILE COMMAND`` writes the

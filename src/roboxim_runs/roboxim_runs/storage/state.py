@@ -1,7 +1,7 @@
 """States of the runs in folders: running, finished, stopped or failed, with progress and speed.
 
-Read from the folders alone, so it works for a run of any executor, a run on another machine that shares the file
-system, and a run whose machine is gone.
+The states are read from the folders alone. So they are available for any executor, for a run on another machine that
+shares the file system, and for a run whose machine is gone.
 """
 
 from __future__ import annotations

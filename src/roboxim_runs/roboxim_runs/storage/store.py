@@ -2,8 +2,8 @@
 
 A file appears under its own name only when it is complete, and is read back before it counts as stored; its SHA-256 is
 kept in ``stored.jsonl`` beside the results. Every reader of a store compares the checksum, so a damaged or replaced
-object is reported instead of used. ``run.json``, ``results.jsonl`` and ``stored.jsonl`` are uploaded while the run goes
-on and at its end.
+object is reported instead of used. ``run.json``, ``results.jsonl`` and ``stored.jsonl`` are uploaded during the run and
+at its end.
 """
 
 from __future__ import annotations
@@ -204,7 +204,7 @@ def stored_bags(run: Path) -> dict[str, dict[str, Any]]:
 
 
 class RunUpload:
-    """Uploads the small files of a run from time to time while it goes on."""
+    """Uploads the small files of a run from time to time."""
 
     def __init__(self, run: Path, url: str, *, shard: str = "") -> None:
         """Store the folder and the URL.

@@ -112,8 +112,8 @@ def train_on(
 ) -> None:
     """Run trainings as jobs of an executor, whose machines share the experiment's folder.
 
-    When one fails, or the run is interrupted, all others are interrupted and have some seconds to save a checkpoint. A
-    training whose worker is lost goes on with another one, from its last checkpoint.
+    When one fails, or the run is interrupted, all others are interrupted and have some seconds to save a checkpoint. If
+    a training's worker is lost, another worker continues it from its last checkpoint.
 
     Args:
         executor: Runs them; its number of workers is the number of trainings at a time.
@@ -238,7 +238,7 @@ def _fail(failed: _Training, others: Sequence[_Training]) -> None:
 
 
 class _Training:
-    """A training that goes on: its commands one after the other, one for each checkpoint of a learning curve."""
+    """A running training: its commands one after the other, one for each checkpoint of a learning curve."""
 
     def __init__(self, stage: Stage, out: Path, on_event: OnEvent) -> None:
         """Start the first command.

@@ -1,7 +1,7 @@
 """Pre-training: one broad mix of demonstrations, a training on it, and a small named checkpoint to fine-tune from.
 
-Each stage continues what an interrupted call has left, so that the same call continues the whole. The checkpoint says
-what the pre-training contained. That is counted in the bags that were exported; nobody states it.
+The same call continues an interrupted pre-training. The checkpoint states the content of the pre-training, which is
+counted in the exported bags.
 """
 
 from __future__ import annotations

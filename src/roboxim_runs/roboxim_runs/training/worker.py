@@ -1,7 +1,7 @@
 """A worker that runs trainings of an experiment, for an executor: on another machine, or in another process.
 
-The machines share the experiment's folder. A training continues what its folder holds, so when its worker is lost,
-another one goes on from the last checkpoint.
+The machines share the experiment's folder. When a worker is lost, another one continues its training from the last
+checkpoint in the folder.
 
 Non-obvious: the worker that was lost may still live, on a node that is cut off from the cluster but not from the
 folder. Each worker therefore writes its name into a file beside the training's folder, waits for a moment if there was
@@ -29,7 +29,7 @@ from roboxim_runs.experiments.provenance import Origin
 from roboxim_runs.training.commands import REPORTED, Trained, train
 
 LOOK_S = 1.0
-"""Period at which a worker looks whether a training is still its own [s]."""
+"""Period at which a worker checks whether a training is still its own [s]."""
 SAVE_S = 3.0
 """Longest time for an interrupted training to save its checkpoint [s]: its whole process group ends before this worker
 is killed, and before another worker that has taken it over begins."""

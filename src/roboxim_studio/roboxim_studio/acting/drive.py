@@ -1,6 +1,6 @@
 """Episodes that a person drives, alone or in turns with a policy, tick by tick. Belongs to the bench's thread.
 
-They are recorded as bags like any other. One that is shared says of every action who acted (`roboxim_recorder.acted`).
+They are recorded as bags like any other. A shared episode records the actor of every action (`roboxim_recorder.acted`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Human:
     """Declares what a person does: end-effector deltas, at any rate. Never asked; the drive sends the actions."""
 
     def __init__(self, described: PolicyDescription | None = None) -> None:
-        """Declare what a person does alone, or what a partner needs and does."""
+        """Describe the person as an actor, or the partner if there is one."""
         self._described = described or PolicyDescription(name=HUMAN, semantics=ActionSemantics(rate_hz=ANY_RATE))
 
     def describe(self) -> PolicyDescription:

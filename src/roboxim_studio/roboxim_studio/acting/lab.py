@@ -1,4 +1,4 @@
-"""The rooms' cores, made when they are first needed, in the bench's thread."""
+"""The rooms' cores, created at their first use, in the bench's thread."""
 
 from __future__ import annotations
 

@@ -3,7 +3,8 @@
 The studio is one more participant: it subscribes while a page looks, and calls services. It starts and ends no node.
 
 Non-obvious:
-- Messages are kept as bytes; only what is drawn is decoded, so a fast graph costs the studio no more than a slow one.
+- Messages are kept as bytes and decoded only when they are drawn, so the studio's load does not depend on the graph's
+  rate.
 - The sim accepts edits during an episode and marks the episode as disturbed. The studio therefore asks first who holds
   the sim, and edits only between episodes: what was recorded without it is recorded with it, bit for bit.
 """
@@ -128,7 +129,7 @@ class LiveGraph:
         return bool(self.run.live_pids)
 
     def close(self) -> None:
-        """Leave the graph, which goes on."""
+        """Leave the graph, which keeps running."""
         self.rest()
         self._peer.close()
 
@@ -145,7 +146,7 @@ class LiveGraph:
         self._subscribe(LAST_PATH, JointTrajectory)
 
     def rest(self) -> None:
-        """Subscribe to nothing: a graph that nobody looks at sends the studio nothing."""
+        """Subscribe to nothing: without a viewer the studio receives nothing."""
         with self._lock:
             self._keep(())
             self._raw.clear()

@@ -1,4 +1,4 @@
-"""A policy, or the expert, that acts in an episode until a person takes over, and again after it is handed back.
+"""A policy, or the expert, that shares an episode with a person: either side can take over control.
 
 The episode loop asks for one action of the executed meaning per tick, from whoever has control. The partner's own
 chunks, gripper rule and lag are therefore applied here, with the loop's own `Acting`. When it gets control back, it
@@ -48,7 +48,7 @@ class Partner:
         self.description: PolicyDescription = replace(
             self._described, semantics=executed, horizon=1, chunking=Chunking(), gripper=GripperRule(), lag=()
         )
-        """What the episode loop is told: one action of the executed meaning per tick."""
+        """Description for the episode loop: one action of the executed meaning per tick."""
         self._start: EpisodeStart | None = None
         self._info: EpisodeInfo | None = None
         self._acting: Acting | None = None

@@ -1,4 +1,4 @@
-"""What if: a recorded episode, executed again up to a tick, continued by somebody else or with one thing changed."""
+"""What if: executes a recorded episode again up to a tick, then continues with another actor or one change."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def simulate(
     graph: CoreGraph, film: Film, question: Question, actor: ActorPort | None = None, *,
     on_tick: OnTick = lambda *_: None, cancelled: Callable[[], bool] = lambda: False,
 ) -> Answer:  # fmt: skip
-    """Execute an episode again up to a tick, and go on as the question says.
+    """Execute an episode again up to a tick, and continue as the question demands.
 
     Args:
         graph: The cores; of this thread.

@@ -1,7 +1,7 @@
 """A task that is being composed: the plain data of its YAML, and edits of it. Knows no page.
 
-What is kept is the file's own data, so keys that the studio has no input for stay as they are. Every edit is checked as
-`generate` would check the file; one that it would refuse is refused here.
+It keeps the file's own data, so keys without an input in the studio are preserved. Every edit is checked as `generate`
+would check the file, and refused by the same rules.
 """
 
 from __future__ import annotations

@@ -44,9 +44,10 @@ class Checks:
     findings: tuple[Finding, ...] = ()
     """Violated constraints."""
     error: str = ""
-    """Why the document is no task at all; empty: it is one."""
+    """Why the document is not a task; empty: it is one."""
     whole: bool = False
-    """Whether cameras and planner have been asked, too; they are not while a quick check refuses the scene."""
+    """Whether the checks that need cameras and the planner have run; they are not while a quick check refuses the
+    scene."""
 
     @property
     def valid(self) -> bool:

@@ -1,7 +1,7 @@
 """The poses of an arm in an episode of any dataset, if it states joint positions of an arm that is known here.
 
-Formats name robots and joints freely. What is not certain is not guessed: the arm must be named, or chosen by a person,
-and every position must lie within its limits, so that degrees, other zeros and other arms are refused by name.
+Formats name robots and joints freely. Nothing is guessed: the arm must be named, or chosen by a person, and every
+position must lie within its limits. So degrees, other zero positions and other arms are refused.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def arms_that_fit(episode: Episode, rows: Sequence[Step], library: ModelLibrary)
 
 
 def arm_track(episode: Episode, rows: Sequence[Step], model: RobotModel) -> ArmTrack | str:
-    """Return where an arm is at every step, or why that is not known.
+    """Return the poses of an arm at every step, or why they are unknown.
 
     Args:
         episode: The episode.

@@ -71,9 +71,9 @@ class Pictures:
     data: dict[str, dict[int, bytes]] = field(default_factory=dict)
     """Camera to tick to JPEG."""
     complete: threading.Event = field(default_factory=threading.Event)
-    """Set when no more will come."""
+    """Set when all have arrived."""
     requested: threading.Event = field(default_factory=threading.Event)
-    """Set when somebody wants to see some: a scene and its panel are shown first."""
+    """Set at the first request for pictures: a scene and its panel are shown first."""
 
     def add(self, seq: int, images: Mapping[str, Picture]) -> None:
         """Keep the pictures of a tick, uint8, shape (height, width, 3)."""
@@ -83,7 +83,7 @@ class Pictures:
             self.data.setdefault(name, {})[seq] = coded.tobytes()
 
     def at(self, seq: int) -> dict[str, Picture]:
-        """Return the pictures of a tick that have come, by camera."""
+        """Return the pictures of a tick that have arrived, by camera."""
         self.requested.set()
         found = {name: ticks[seq] for name, ticks in tuple(self.data.items()) if seq in ticks}
         return {name: decoded(data) for name, data in found.items()}

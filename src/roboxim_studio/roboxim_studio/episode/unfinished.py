@@ -1,6 +1,6 @@
 """The newest pictures of an episode that is still being recorded, read from its bag as it grows.
 
-A bag is written in chunks of a few ticks, each whole by itself, so a reader needs no index and disturbs nobody.
+A bag is written in complete chunks of a few ticks, so a reader needs no index and does not disturb the recorder.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ def _mesh(part: VisualPart) -> Any:
 
 
 def _name(material: MaterialSpec) -> str:
-    """Return a name that says nothing of the machine's folders."""
+    """Return a name without the machine's folders."""
     return material.texture.rpartition("/")[2] or "plain"
 
 

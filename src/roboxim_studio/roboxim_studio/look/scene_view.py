@@ -49,7 +49,7 @@ class SceneView:
         Args:
             server: The server.
             library: Robots and objects.
-            root: Name of the node that everything is below, so that two views can be side by side.
+            root: Name of the root node, so that two views can be side by side.
             bare: Whether to leave out what the other view shows: room, lights and directions.
         """
         self._bare = bare

@@ -45,7 +45,7 @@ from roboxim_studio.serving.site import Site
 FOLDER = "teleoperation"
 """Folder below the studio's that bags are written to, unless the command line names another."""
 SILENT_S = 0.5
-"""Time without a word from a page after which its keys count as released [s]."""
+"""Time without a message from a page after which its keys count as released [s]."""
 DRAWN, EDITED, OPENED = "the task's next scene", "the edited scene", "the open episode, from its tick"
 NOBODY = "nobody"
 SPACE_MOUSE = "Connect a SpaceMouse"
@@ -228,7 +228,7 @@ class DrivePanel:
     # ---------------------------------------------------------------- input
 
     def receive(self, page: int, message: Mapping[str, Any]) -> None:
-        """Note what a page holds; an empty message: it has gone. Called in the server's thread."""
+        """Store the keys that a page holds; an empty message: the page was closed. Called in the server's thread."""
         with self._lock:
             if not message:
                 self._received.pop(page, None)
@@ -250,7 +250,7 @@ class DrivePanel:
                 self.key(code)
 
     def key(self, code: str) -> None:
-        """Obey a key that acts once."""
+        """Handle a key that acts once."""
         if self.drive is None:
             return
         with self._lock:
@@ -266,7 +266,7 @@ class DrivePanel:
                     self._bench.do(self._throw)
 
     def steering(self) -> Steering:
-        """Return what is held on all pages together."""
+        """Return the combined input of all pages."""
         now = time.monotonic()
         with self._lock:
             fresh = [message for stamp, message in self._received.values() if now - stamp < SILENT_S]
@@ -281,9 +281,8 @@ class DrivePanel:
     def _taken(self) -> Steering:
         """Return what moves the tool in the next tick.
 
-        A word of a page moves it once: a tap by one tick, however short, and a page that draws slowly by one tick for
-        each word, so that a person sees every tick before the next. With time going on, a held key counts until it is
-        released.
+        Each message of a page moves the tool by one tick. So a tap always moves it once, and a slow page shows every
+        tick before the next one. In real time, a held key counts until it is released.
         """
         with self._lock:
             pending, self._pending = self._pending, None

@@ -18,7 +18,7 @@ from roboxim_studio.serving.site import Site
 SPEEDS = ("0.25x", "0.5x", "1x", "2x", "4x")
 HINT = "Space: play or pause   , and . : one tick back or on"
 REDRAW_S = 0.1
-"""Period in which pictures that have come meanwhile are shown."""
+"""Period at which newly arrived pictures are shown."""
 
 
 class EpisodePanel:

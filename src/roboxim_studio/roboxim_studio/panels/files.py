@@ -1,4 +1,4 @@
-"""The panel of a run: its episodes, filtered; their distributions; which to leave out; new ones as they come."""
+"""The panel of a run: its episodes, with filters, distributions and marks; new episodes appear as they finish."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ class FilesPanel:
                 reader = BagReader(entry.path)
                 self._facts_of[entry.path] = facts_of(reader.info, reader.result)
             except RoboximError:
-                return {"episode": (entry.episode,)}  # it is listed, and opening it says what is wrong
+                return {"episode": (entry.episode,)}  # listed anyway: opening it shows the error
         return self._facts_of[entry.path]
 
     def _open_episode(self) -> OpenEpisode | None:

@@ -109,7 +109,7 @@ class LivePanel:
         self._site.send(hint=HINT, alert="")
 
     def hide(self) -> None:
-        """Leave the view to another panel, and listen to nothing."""
+        """Leave the view to another panel, and unsubscribe."""
         self._active.clear()
         with self._lock:
             self._remove_gizmo()

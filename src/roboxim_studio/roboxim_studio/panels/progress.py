@@ -1,6 +1,6 @@
-"""A run that goes on: its state, what each worker does, and the newest picture of each episode that is being recorded.
+"""A run in progress: its state, each worker's activity, and the newest picture of each episode that is being recorded.
 
-Read from the run's folder alone, so a run does not know that somebody watches.
+All is read from the run's folder, so the run is not affected.
 """
 
 from __future__ import annotations

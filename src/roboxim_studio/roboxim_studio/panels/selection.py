@@ -1,4 +1,4 @@
-"""Which episodes of a run or a dataset to leave out, look at, trim or relabel: marks, edits, and their file."""
+"""Selection of a run's or a dataset's episodes: marks (leave out, flag), edits (trim, relabel), and their file."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class Selection:
             self._changed()
 
     def trim(self, what: str) -> None:
-        """Trim the open episode at the tick that it shows: keep it from there on, up to there, or whole again."""
+        """Trim the open episode at the tick that it shows: keep the steps from there on, up to there, or all."""
         shown = self._opened()
         if shown is None:
             return

@@ -41,7 +41,7 @@ class Access:
         """
         host = headers.get("Host") or ""
         name = urlsplit(f"//{host}").hostname if host else None
-        if not self.open_network and name not in LOOPBACK:  # another name that was made to resolve to this machine
+        if not self.open_network and name not in LOOPBACK:  # DNS rebinding: another name that resolves to this machine
             return None
         origin = headers.get("Origin")
         if origin is not None and urlsplit(origin).netloc != host:  # a page of another site

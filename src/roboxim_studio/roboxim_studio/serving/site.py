@@ -62,7 +62,7 @@ _opening = threading.Lock()
 
 
 class Site:
-    """A running server. `viser` is what panels and scenes are built with; `tell` sends to the pages' own script."""
+    """A running server. `viser` is what panels and scenes are built with; `send` sends to the pages' own script."""
 
     def __init__(self, access: Access, port: int = 0, *, received: Received = lambda page, message: None) -> None:
         """Start the server.

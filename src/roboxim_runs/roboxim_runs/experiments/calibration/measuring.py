@@ -122,7 +122,7 @@ def calibrate(
 ) -> Rates:
     """Measure the rates of all stages in a temporary folder.
 
-    Rollouts are those of a policy that can do nothing yet. They last until the limit of actions, as failures do.
+    The rollouts use a policy that cannot solve anything yet. They last until the limit of actions, as failures do.
     Successes are taken to be as much shorter as the demonstrations have fewer actions.
 
     Args:
@@ -248,7 +248,7 @@ def _side_by_side(config: CalibrationConfig, folder: Path, load: str, options: M
 
 
 def _load_before() -> str:
-    """Return how busy the machine is with other jobs, which a reader of low rates needs to know."""
+    """Return how busy the machine is with other jobs, which explains low rates."""
     return f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores when it began"
 
 

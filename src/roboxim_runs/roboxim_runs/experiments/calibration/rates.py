@@ -1,6 +1,6 @@
-"""This machine's measured rates, in the user's cache folder, a file for each image size and experiment.
+"""This machine's measured rates: a file in the user's cache folder for each image size and experiment.
 
-Lists and plans of experiments read them; this module therefore imports nothing that measures.
+Lists and plans of experiments read them, so this module does not import the measuring code.
 """
 
 from __future__ import annotations

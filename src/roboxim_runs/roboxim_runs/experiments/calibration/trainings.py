@@ -32,7 +32,7 @@ def measure_side_by_side(
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
 ) -> SideBySide:
-    """Run trainings of bc at the same time, from their starts until each has made a number of steps beside the others.
+    """Run trainings of bc at the same time until each has made a number of steps in parallel with the others.
 
     Args:
         dataset: What they train with.
@@ -71,7 +71,7 @@ def measure_side_by_side(
 
 
 class _MeasuredTraining:
-    """A training of bc that goes on until it is killed, and the times at which it reported its steps."""
+    """A training of bc that runs until it is killed, and the times at which it reported its steps."""
 
     def __init__(self, dataset: Path, out: Path, seed: int) -> None:
         self.seen: list[tuple[float, int]] = []

@@ -1,7 +1,7 @@
 """Reads what a cell demands of its episodes from its task, for the proofs of delivery.
 
-What a task leaves as it is, e.g. the light of its scene, is demanded as well: cells that differ in a property can then
-be told apart, even if one of them does not name it.
+What a task leaves unchanged, e.g. the light of its scene, is demanded as well. So cells that differ in a property can
+be distinguished even if one of them does not name it.
 """
 
 from __future__ import annotations

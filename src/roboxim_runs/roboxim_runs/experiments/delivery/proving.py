@@ -87,7 +87,7 @@ class Reading:
     def read(
         self, title: str, jobs: Sequence[BagJob], mixes: Mapping[str, str], *, pictures: bool = True
     ) -> Iterator[tuple[Shown, tuple[Demand, ...]]]:
-        """Yield what each bag shows and what its instruction asks for, in the order of the jobs.
+        """Yield the content of each bag and the demands of its instruction, in the order of the jobs.
 
         Args:
             title: Title of the stage.
@@ -118,7 +118,7 @@ class Reading:
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetClaim:
-    """A dataset, and what it is said to hold."""
+    """A dataset with its claimed content."""
 
     name: str
     """Its name."""

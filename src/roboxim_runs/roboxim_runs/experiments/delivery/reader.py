@@ -1,7 +1,7 @@
 """Reads what a bag shows, for the proofs of delivery.
 
 The pictures of tick 0 are compared with pictures that the bag's renderer draws of the recorded state from the camera
-poses that the *cell* demands. A camera that stood elsewhere thus shows the tool beside its projection.
+poses that the *cell* demands. A camera at another pose therefore shows the tool away from its projection.
 """
 
 from __future__ import annotations

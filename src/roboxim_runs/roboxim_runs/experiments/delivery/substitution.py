@@ -1,4 +1,4 @@
-"""Judges failed held-out episodes again by the instructions of the training: what did the policy do instead?"""
+"""Judges failed held-out episodes again by other instructions of the training: what did the policy do instead?"""
 
 from __future__ import annotations
 

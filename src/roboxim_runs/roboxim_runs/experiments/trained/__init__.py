@@ -1,1 +1,1 @@
-"""What an experiment trains with and evaluates: exports, policies, servers of checkpoints."""
+"""Inputs and results of an experiment's trainings: exports, policies, servers of checkpoints."""

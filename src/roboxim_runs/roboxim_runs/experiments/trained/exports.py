@@ -53,7 +53,7 @@ def export_config(form: str, options: Mapping[str, Any], *, source: str = "datas
 
 
 def convention_file(form: str, options: Mapping[str, Any], folder: Path) -> Path:
-    """Return the file beside a dataset that says what a policy that was trained with it is sent.
+    """Return the convention file beside a dataset: the requests to a policy that was trained with it.
 
     Args:
         form: Format of the dataset.

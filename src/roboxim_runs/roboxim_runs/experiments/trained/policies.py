@@ -1,4 +1,4 @@
-"""The policies of an experiment's evaluations: trained here, trained elsewhere, or evaluated in another way."""
+"""The policies of an experiment's evaluations: trained here, trained elsewhere, or given by the user."""
 
 from __future__ import annotations
 

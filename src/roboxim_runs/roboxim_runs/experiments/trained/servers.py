@@ -1,7 +1,7 @@
-"""Servers of an experiment's checkpoints, for policies that run in an environment of their own.
+"""Servers of an experiment's checkpoints, for policies that run in their own environment.
 
-A trainer's ``serve`` command runs while a checkpoint is evaluated. Before it starts nothing may answer at its address:
-else the evaluation would measure another model.
+A trainer's ``serve`` command runs while a checkpoint is evaluated. If something answers at its address before it
+starts, the evaluation is refused, since it would measure another model.
 """
 
 from __future__ import annotations
