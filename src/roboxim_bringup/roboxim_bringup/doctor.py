@@ -38,7 +38,7 @@ class Finding:
     name: str
     """Subject of the check."""
     state: str
-    """``ok``, ``warning`` (a part works worse or not at all), ``missing`` (RoboXim does not work), or ``absent`` (an
+    """``ok``, ``warning`` (a part works with limits or fails), ``missing`` (RoboXim does not work), or ``absent`` (an
     optional part is not installed)."""
     detail: str
     """The finding, in words."""

@@ -14,7 +14,7 @@ import click
 from roboxim_core.errors import RoboximError
 
 FRESH_S = 20.0
-"""Time for which one completion's names serve the next ones [s]."""
+"""Time for which a completion's names are reused [s]."""
 
 
 def complete(kind: str) -> Callable[[click.Context, click.Parameter, str], list[str]]:

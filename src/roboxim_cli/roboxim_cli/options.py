@@ -48,7 +48,7 @@ def executor_options() -> list[Decorator]:
 
 
 def with_training_resources(command: Any) -> Any:
-    """Add the option that says what a training takes of a Ray node; a decorator."""
+    """Add the option for the resources of a Ray node that a training takes; a decorator."""
     return click.option(
         "--training-resources", default="", metavar="NAME=N,...",
         help="What a training takes of a Ray node, e.g. CPU=8,GPU=1; default: CPU=1.",

@@ -50,7 +50,7 @@ class Bars:
             self._shown.update(bar, completed=done, total=total, note=note, pace=pace)
 
     def end(self, bar: TaskID) -> None:
-        """Keep a bar's last state on the screen, above the bars that go on."""
+        """Keep a bar's last state on the screen, above the active bars."""
         if self._shown is None:
             return
         if len(self._shown.tasks) == 1:
@@ -170,7 +170,7 @@ class ProgressLine:
             self._bars.update(self._bar, done, self._total, note, self._pace_text())
         elif time.monotonic() - self._last > LINE_PERIOD_S:
             self._line()
-        elif self._late is None:  # a long step may follow, in which nobody calls
+        elif self._late is None:  # a long step without calls may follow
             self._late = threading.Timer(LINE_PERIOD_S, self._line_if_new)
             self._late.daemon = True
             self._late.start()

@@ -1,8 +1,8 @@
-"""The account of a dataset: everything that its files hold, and what became of it.
+"""The account of a dataset: every part of its files, and whether it was read.
 
-A reader notes first what it finds (`Account.holds`), without regard to what it understands. Then it says of what it
-finds what it reads, what merely repeats something that it reads, and what it leaves out. What it says nothing of is
-left out as unknown. So what was read, what is implied and what was left out always add up to what is there.
+A reader first lists everything that it finds (`Account.holds`). Then it states for each part whether it reads it,
+whether it follows from what is read, or why it leaves it out. A part without a statement is left out as unknown. So the
+parts that were read, implied and left out always add up to the content of the files.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _NAMED = 4  # names of parts that share a line
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """A part of what a dataset's files hold, or a share of it."""
+    """A part of a dataset's files, or a share of it."""
 
     kind: Kind
     """What it is."""
@@ -36,7 +36,8 @@ class Part:
     treatment: Treatment
     """What became of it."""
     why: str = ""
-    """Why it is left out or implied, or how what was read differs from what is there; empty: it was read as it is."""
+    """Why it is left out or implied, or how the read values differ from the stored ones; empty: it was read as it
+    is."""
 
     def __str__(self) -> str:
         """Return it as text: name and number."""
@@ -46,7 +47,7 @@ class Part:
 
 
 class Account:
-    """Collects what a dataset holds and what became of it; see the module."""
+    """Collects the parts of a dataset and their treatment; see the module."""
 
     def __init__(self) -> None:
         """Start with nothing."""
@@ -79,7 +80,7 @@ class Account:
         self._note(kind, name, "read", changed, count)
 
     def implies(self, kind: Kind, name: str, why: str, count: int | None = None) -> None:
-        """Note that a part follows from what is read, so that nothing is lost without it."""
+        """Note that a part follows from others that are read."""
         self._note(kind, name, "implied", why, count)
 
     def leaves_out(self, kind: Kind, name: str, why: str, count: int | None = None) -> None:
@@ -97,7 +98,7 @@ class Account:
 
     @property
     def parts(self) -> list[Part]:
-        """Everything that the files hold, each part with what became of it."""
+        """All parts of the files, each with its treatment."""
         found = []
         for (kind, name), held in self._held.items():
             named = dict(self._noted.get((kind, name), {}))
@@ -116,7 +117,7 @@ class Account:
 
     @property
     def changed(self) -> list[Part]:
-        """What was read, but is not what the files hold bit for bit."""
+        """Parts that were read with changed values."""
         return [part for part in self.parts if part.treatment == "read" and part.why]
 
 

@@ -6,8 +6,8 @@ Beside the final place ``<name>`` stands ``.partial-<name>`` with:
 - ``journal.jsonl``: one line for each finished episode, appended after its pieces are whole;
 - ``dataset/``: the dataset that is put together from the pieces at the end.
 
-`ResumableBuild.finish` renames ``dataset/`` to the final name. So a dataset with its final name is whole, and a build
-that was killed continues after its last finished episode.
+`ResumableBuild.finish` renames ``dataset/`` to the final name. So a dataset with its final name is complete, and a
+killed build continues after its last finished episode.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class ResumableBuild:
         return self._folder / "pieces" / f"{split}-{number:06d}-{name}"
 
     def commit(self, facts: Facts) -> None:
-        """Note that the pieces of an episode are whole.
+        """Note that the pieces of an episode are complete.
 
         Raises:
             OSError: When the disk is full.

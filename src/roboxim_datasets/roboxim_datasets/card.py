@@ -86,7 +86,7 @@ def account_lines(account: Account) -> list[str]:
 
 
 def summary_json(dataset: Dataset, counts: Counts) -> dict[str, Any]:
-    """Return what describes a dataset as plain data, with the account of everything that its files hold."""
+    """Return a dataset's description as plain data, with the account of its files' parts."""
     account = dataset.account
     return {
         "format": dataset.format,
@@ -109,7 +109,7 @@ def summary_json(dataset: Dataset, counts: Counts) -> dict[str, Any]:
 
 
 def _solved(counts: Counts, episodes: int) -> str:
-    """Return how many episodes solved their tasks, as far as the dataset says it."""
+    """Return how many episodes solved their tasks, as far as the dataset states it."""
     if not counts.outcomes:
         return "solved: unknown"
     unknown = episodes - counts.outcomes
@@ -315,7 +315,7 @@ def _counts_section(dataset: Dataset, counts: Counts) -> str:
 
 
 def _not_read(dataset: Dataset) -> str:
-    """Return what the sources of a converted dataset had that it does not have."""
+    """Return the parts of a converted dataset's sources that it lacks."""
     missing = dataset.facts.get("not_read", [])
     rows = [
         (f"{item.get('kind')} `{item.get('name')}`", str(item.get("count")), str(item.get("why"))) for item in missing

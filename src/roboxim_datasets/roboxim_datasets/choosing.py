@@ -22,7 +22,7 @@ def chosen_plan(dataset: Dataset, texts: Iterable[str]) -> dict[str, list[Place]
             number, e.g. ``train/3``.
 
     Raises:
-        InvalidRequestError: On a condition or an edit that no episode can be meant by, or of more steps than it has.
+        InvalidRequestError: On a condition or an edit that refers to no episode, or to more steps than the episode has.
         RecorderError: ``EXPORT_REFUSED`` when no episode is left; ``BAG_DAMAGED`` when one cannot be read.
     """
     choice = Choice.parse(texts)

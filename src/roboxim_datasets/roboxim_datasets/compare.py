@@ -261,7 +261,7 @@ def _outcome(episode: Episode) -> bool | str:
 
 
 def _numbers(a: Step, b: Step, names: _Names) -> Iterator[tuple[str, npt.ArrayLike, npt.ArrayLike]]:
-    """Yield name and both values of everything that is a number."""
+    """Yield name and both values of all numbers."""
     yield "action", a.action, b.action
     yield "reward", [a.reward], [b.reward]
     if names.executed and a.action_executed is not None and b.action_executed is not None:

@@ -1,6 +1,6 @@
 """A dataset as plain values, independent of its format: what readers return and writers take.
 
-`Dataset` is lazy: it knows the number of episodes and what their steps consist of, and reads an episode when asked.
+`Dataset` is lazy: it knows the number of episodes and the content of their steps, and reads episodes on demand.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Features:
     keys: Mapping[str, str]
     """Camera to the key of its images in the dataset, e.g. ``image``."""
     lossless: bool = False
-    """Whether the images that come back are those that were written, pixel by pixel."""
+    """Whether images are stored without loss."""
     depth: tuple[str, ...] = ()
     """Cameras that have depth images."""
     segmentation: tuple[str, ...] = ()
@@ -237,7 +237,7 @@ class Dataset(ABC):
 
     @cached_property
     def account(self) -> Account:
-        """Everything that the dataset's files hold, and what became of it; this reads through the dataset.
+        """All parts of the dataset's files and their treatment; this reads through the dataset.
 
         Raises:
             RecorderError: With code ``BAG_DAMAGED`` when it cannot be read.
@@ -247,7 +247,7 @@ class Dataset(ABC):
         return account
 
     def _take_stock(self, account: Account) -> None:  # noqa: B027 - formats of others may have none
-        """Note what the files hold and what of it is read; a format that does not has an empty account."""
+        """Note the parts of the files and which of them are read; a format that does not has an empty account."""
 
     @cached_property
     def facts(self) -> dict[str, Any]:

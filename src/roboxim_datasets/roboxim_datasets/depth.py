@@ -1,7 +1,7 @@
-"""Depth images of others' datasets: of which camera they are, and what their numbers mean.
+"""Depth images of others' datasets: their camera, and the meaning of their numbers.
 
 The formats state no unit of depth, so a user states it (`open_dataset`). An image belongs to the colour camera whose
-name has the same words apart from those that say what kind of image it is: ``top_depth`` or ``depth/top`` to ``top``.
+name has the same words, apart from those for the kind of image: ``top_depth`` or ``depth/top`` to ``top``.
 """
 
 from __future__ import annotations

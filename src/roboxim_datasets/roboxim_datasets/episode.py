@@ -26,7 +26,7 @@ MetaValue = str | int | float | bool
 SIGNAL_PREFIX = "sim."
 """Prefix of the names of `Step.signals`."""
 PART = "-part"
-"""What stands between an episode's id and the number of a stretch in which one actor acted (``--acted-by``)."""
+"""Separator between an episode's id and the number of a stretch of one actor (``--acted-by``)."""
 EXECUTED = "sim.action_executed"
 """Name under which datasets store `Step.action_executed`."""
 
@@ -76,7 +76,7 @@ class ImageSize:
 
 @dataclass(frozen=True, kw_only=True)
 class Wanted:
-    """What to read of an episode's steps beside the small arrays."""
+    """Images to read of an episode's steps besides the small arrays."""
 
     cameras: tuple[str, ...] = ()
     """Cameras whose RGB images to read."""
@@ -296,6 +296,6 @@ class Episode:
 
 
 def whole_id(episode_id: str) -> str:
-    """Return the id of the whole episode of which an episode of a dataset may be a stretch of one actor."""
+    """Return the id of the complete episode from which an episode of a dataset may be a stretch of one actor."""
     name, _, number = episode_id.rpartition(PART)
     return name if name and number.isdecimal() else episode_id

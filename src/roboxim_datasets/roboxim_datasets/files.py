@@ -72,7 +72,7 @@ def _bad(message: str) -> RecorderError:
 
 @contextmanager
 def reading(where: object) -> Iterator[None]:
-    """Name what was being read when something in a file is not what its format says.
+    """Name the part that was being read when a file does not follow its format.
 
     Args:
         where: File, episode, key, as the message names them.

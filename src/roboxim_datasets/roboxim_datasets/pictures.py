@@ -33,7 +33,7 @@ class PictureHead:
     deep: bool
     """Whether it has more than 8 bits a channel, as depth images do."""
     alpha: bool = False
-    """Whether it says of its pixels how opaque they are, which is not read."""
+    """Whether it has an alpha channel, which is not read."""
 
 
 def head_of(data: bytes) -> PictureHead:

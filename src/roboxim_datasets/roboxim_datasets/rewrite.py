@@ -1,7 +1,7 @@
 """Writes a dataset from the episodes of others: in another format, several as one, or with other splits.
 
 The sources are only read. The result is atomic and resumable, as every writer is: it gets its final name only when it
-is whole, and the same call continues an interrupted one.
+is complete, and the same call continues an interrupted one.
 """
 
 from __future__ import annotations

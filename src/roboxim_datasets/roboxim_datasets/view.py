@@ -1,4 +1,4 @@
-"""Pictures of a dataset's episode: a contact sheet, and a page with its frames and the course of its numbers."""
+"""Pictures of a dataset's episode: a contact sheet, and a page with its frames and plots."""
 
 from __future__ import annotations
 

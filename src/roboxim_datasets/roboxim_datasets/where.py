@@ -86,7 +86,7 @@ class Edit:
 
     @staticmethod
     def parse(text: str) -> Edit | None:
-        """Read an edit; None when the text is none, so that it must be a condition.
+        """Read an edit; None when the text is not an edit, so that it must be a condition.
 
         Raises:
             InvalidRequestError: When it begins like an edit and is none.

@@ -1,4 +1,4 @@
-"""Which films a report shows, and how. Imports nothing heavy: options are checked before a run starts."""
+"""Options of a report's films. Its imports are light, because options are checked before a run starts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The episode loop's ports over ROS clients: they let `roboxim_core.episode` run over a graph."""
+"""The episode loop's ports as ROS clients, so that `roboxim_core.episode` runs over a graph."""
 
 from __future__ import annotations
 

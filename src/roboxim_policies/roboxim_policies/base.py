@@ -48,7 +48,7 @@ POLICIES: Registry[Callable[..., Policy]] = Registry("policy")
 
 @POLICIES.conformance
 def takes_typed_arguments(name: str, item: Callable[..., Policy]) -> None:
-    """Refuse a policy that is no class with the three methods, or whose arguments do not say their types.
+    """Refuse a policy that is not a class with the three methods, or whose arguments lack type annotations.
 
     A policy is not made: most need a checkpoint, which the contract does not have.
     """
@@ -114,7 +114,8 @@ class BasePolicy(ABC):
     """Lag of the arm that the policy was trained with, see `PolicyDescription.lag`; empty: none."""
     any_thread: bool = False
     """Whether any thread may call `act`, and `act` waits for nothing outside this process. Then an evaluator of the
-    same process asks the policy in its own thread, which saves two changes of threads; it cannot give up an answer."""
+    same process calls the policy directly in its own thread, which saves two thread switches; it cannot give up an
+    answer."""
 
     def describe(self) -> PolicyDescription:
         """Return the policy's description, built from the attributes.
@@ -157,7 +158,7 @@ class BasePolicy(ABC):
         """
 
     def another(self) -> Policy | None:
-        """Return a policy with an episode of its own that shares this one's model; none: it cannot share it.
+        """Return a policy that shares this one's model but keeps its own episode; none: it cannot share it.
 
         A process that serves the policy to several simulators (``--policy-servers``) needs one for each of them, and
         makes them from scratch otherwise.

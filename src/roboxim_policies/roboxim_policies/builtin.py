@@ -95,7 +95,7 @@ class RandomPolicy(BasePolicy):
 class ReplayPolicy(BasePolicy):
     """A policy that repeats recorded actions, then holds still.
 
-    Started from its restored scene, an episode that was recorded at the same control rate repeats exactly.
+    An episode that is replayed from its restored scene at the recorded control rate repeats exactly.
     """
 
     name = "replay"

@@ -1,7 +1,7 @@
-"""The classic faults of a policy that is called in the wrong way, found in a few answers.
+"""Finds typical faults of a policy's convention in a few answers.
 
-The findings are hints: a model may hold still on purpose. They compare the answers with what the convention allows, and
-with what the expert does in the same situations.
+The findings are hints: a model may hold still on purpose. The answers are compared with the convention's ranges and
+with the expert's actions in the same situations.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from roboxim_core.errors import RoboximError
 from roboxim_core.rotation.representations import Floats, encode, identity_rotation
 
 SATURATED = 0.5
-"""Share of numbers at a bound from which on answers count as saturated."""
+"""Smallest share of numbers at a bound at which answers count as saturated."""
 SPEED_RATIO = 8.0
 """Ratio to the expert's mean speed from which on a speed is suspicious."""
 JUMP_RAD = 0.5
-"""Distance of a commanded joint position from the joint [rad] from which on it is suspicious."""
+"""Smallest suspicious distance of a commanded joint position from the measured one [rad]."""
 BLANK = 2.0
 """Standard deviation of a picture's numbers, 0..255, below which it shows nothing."""
 ORIENTATIONS = {
@@ -51,7 +51,7 @@ class RoundTrip:
     count: int
     """Number of actions."""
     failure: str = ""
-    """Why the actions cannot be expressed at all; empty: they can."""
+    """Why the actions cannot be expressed; empty: they can."""
 
     @property
     def is_exact(self) -> bool:

@@ -1,7 +1,7 @@
 """The identity of a policy: hashes of the files that it consists of.
 
-A result belongs to the contents of these files, not to a name: an edited policy or a retrained checkpoint is another
-policy. For shipped policies the version of RoboXim is the identity, so they have no files here.
+A result belongs to the contents of these files, not to a name: editing a policy or retraining a checkpoint makes
+another policy. For shipped policies the version of RoboXim is the identity, so they have no files here.
 """
 
 from __future__ import annotations

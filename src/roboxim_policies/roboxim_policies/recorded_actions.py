@@ -1,4 +1,4 @@
-"""Loading of recorded actions for the ``replay`` policy: from ``.npz``, ``.json``, a recorded bag, a dataset."""
+"""Loads recorded actions for the ``replay`` policy: from ``.npz``, ``.json``, a recorded bag, or a dataset."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """Remote policies: a wire joined with a convention.
 
-The wire carries requests and raw numbers, the convention says what they mean. `RemotePolicy` connects at its first
-episode, and again after every failure, so that a server that dies costs its episodes and not the run.
+The wire carries requests and raw numbers; the convention defines their meaning. `RemotePolicy` connects at its first
+episode and again after every failure, so a server that dies loses its episodes but not the run.
 
-A remote model cannot be hashed. Its identity is what the user says (``version``), what the server declares (its
-metadata), and its replies to a fixed request (`Probe`).
+A remote model cannot be hashed. Its identity consists of the user's ``version``, the server's metadata, and its replies
+to a fixed request (`Probe`).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from roboxim_policies.wires.openpi import OWN_SERVER
 SERVERS_OWN = "server"
 """Name of a convention that the server itself declares; RoboXim's own servers do."""
 Version = str | int | float
-"""What a model is, as a user writes it: ``pi05_libero`` or ``3``."""
+"""Identity of a model as the user states it: ``pi05_libero`` or ``3``."""
 PROBES = 3
 """Replies that a probe keeps."""
 PROBE_INSTRUCTION = "pick up the red cube"
@@ -48,7 +48,7 @@ PROBE_INSTRUCTION = "pick up the red cube"
 
 @dataclass(frozen=True, kw_only=True)
 class Probe:
-    """A model's replies to one fixed request, to tell another model from the same one."""
+    """A model's replies to one fixed request, which identify the model."""
 
     replies: tuple[tuple[float, ...], ...]
     """Each reply's numbers, row by row. A model that samples answers otherwise each time."""
@@ -197,7 +197,7 @@ class RemotePolicy(BasePolicy):
         return rows
 
     def notices(self) -> tuple[str, ...]:
-        """Return in sentences what a user should know of the answers so far, e.g. after `probe`."""
+        """Return notes for the user about the answers so far, e.g. after `probe`."""
         chunking = self.convention.chunking
         if self._most_rows <= chunking.horizon:
             return ()

@@ -1,4 +1,4 @@
-"""A policy that receives another instruction than the task's, e.g. none at all: what does the scene alone give away?"""
+"""A policy that receives another instruction than the task's, e.g. none, to test what the scene alone reveals."""
 
 from __future__ import annotations
 
@@ -82,20 +82,20 @@ def wordings_or_itself(instruction: str, name: str) -> tuple[str, ...]:
 
 
 class InstructionRecorder:
-    """A policy that notes the instructions of the calls that reach another one."""
+    """A wrapper of a policy that records the instructions of its calls."""
 
     def __init__(self, policy: Policy) -> None:
-        """Listen to the calls of a policy."""
+        """Wrap a policy."""
         self.policy = policy
-        """The other policy."""
+        """The wrapped policy."""
         self._given: dict[str, None] = {}
 
     def describe(self) -> PolicyDescription:
-        """Describe the other policy."""
+        """Describe the wrapped policy."""
         return self.policy.describe()
 
     def reset(self, start: EpisodeStart) -> None:
-        """Start an episode of the other policy."""
+        """Start an episode of the wrapped policy."""
         self._given = {start.instruction: None}
         self.policy.reset(start)
 
@@ -105,7 +105,7 @@ class InstructionRecorder:
         return self.policy.act(window)
 
     def received_instructions(self) -> tuple[str, ...]:
-        """Return the instructions that were noted since the last reset; if the other policy passes them on, its own."""
+        """Return the instructions since the last reset; those that the wrapped policy reports, if it passes them on."""
         if isinstance(self.policy, PassesOn):
             return tuple(self.policy.received_instructions())
         return tuple(self._given)

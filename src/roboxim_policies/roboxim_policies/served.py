@@ -1,4 +1,4 @@
-"""A policy of the run that a process beside the simulators computes; see `roboxim_policies.serving.shared`.
+"""A policy of the run that a separate process computes for the simulators; see `roboxim_policies.serving.shared`.
 
 Unlike a remote policy (`roboxim_policies.remote`) it is the user's own policy, with its own description: an evaluation
 records the same as if the policy ran in the simulator's process.
@@ -79,7 +79,7 @@ class ServedPolicy(BasePolicy):
 
 
 class _SharedWire(OpenPiWire):
-    """openpi's wire, with what else the shared server answers."""
+    """openpi's wire, with the additional replies of the shared server."""
 
     reply: Mapping[str, Any] = {}
 

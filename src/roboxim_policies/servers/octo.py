@@ -7,8 +7,8 @@ A request has `image_primary` or `image_wrist`, or both, as uint8 of shape (fram
 `timestep_pad_mask`, False for frames that only fill the history; `prompt`; and `unnorm_key`, the dataset whose
 statistics un-normalise the actions. The reply has all predicted actions; the convention says how many are executed.
 
-Each episode has random keys of its own, drawn from the seed that RoboXim sends, so that episodes repeat whatever other
-connections ask meanwhile.
+Each episode has its own random keys, drawn from the seed that RoboXim sends, so episodes repeat regardless of other
+connections.
 """
 
 from __future__ import annotations

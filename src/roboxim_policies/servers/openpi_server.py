@@ -243,7 +243,7 @@ def _resolve(future: Future, call: Any) -> None:
 class _Listener(socket.socket):
     """A listening socket that closes connections beyond a bound: each costs a thread, even one that stays silent.
 
-    On a loopback address it also refuses other users of this machine, whom the kernel tells (Linux).
+    On a loopback address it also refuses other users of this machine, which the kernel reports (Linux).
     """
 
     most = 4 * MAX_CONNECTIONS
@@ -299,10 +299,10 @@ class _Listener(socket.socket):
 
 
 def _user_of_peer(connection: socket.socket) -> int | None:
-    """Return the id of the user at the other end, as Linux tells (sock_diag, inet_diag.h); None: it has gone.
+    """Return the id of the user at the other end, as Linux reports it (sock_diag, inet_diag.h); None: it has gone.
 
     Raises:
-        OSError: When the kernel cannot tell.
+        OSError: When the kernel cannot report it.
     """
     try:
         (there, from_port, *_), (here, to_port, *_) = connection.getpeername(), connection.getsockname()

@@ -1,7 +1,7 @@
 """Who acted at each action of an episode: a policy, a person, or the expert.
 
-Episodes in which a person took over from a policy say it on the topic `topics.ACTED_BY`, one message after each
-action's tick. In all others the actor of the episode acted throughout.
+An episode in which a person took over from a policy has the topic `topics.ACTED_BY`: one message after each action's
+tick. In all others the actor of the episode acted throughout.
 """
 
 from __future__ import annotations

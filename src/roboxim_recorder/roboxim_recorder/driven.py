@@ -44,7 +44,7 @@ class Stretch:
     clock_epoch: int
     """Number of restarts of the simulated time before it."""
     states: tuple[StateRecord, ...]
-    """The states; the images of one have its stamp and its era."""
+    """The states; its images have the same stamp and clock epoch."""
 
     @property
     def tick_ns(self) -> int:

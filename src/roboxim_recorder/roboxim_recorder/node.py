@@ -204,7 +204,7 @@ class RecorderNode(RoboximNode):
             if not self._called:
                 for seq in whole:
                     self._recorded_out.publish(RecordedTick(episode_id=recording.info.episode_id, seq=seq))
-                recording.flush()  # while the simulator goes on
+                recording.flush()  # while the simulator continues
         except RoboximError as error:
             self._drop_faulty(recording, error)
             if not self._called:

@@ -17,7 +17,7 @@ def user_of_peer(connection: socket.socket) -> int | None:
     Source: Linux, sock_diag(7) and include/uapi/linux/inet_diag.h.
 
     Raises:
-        OSError: When the kernel cannot tell.
+        OSError: When the kernel cannot report it.
     """
     try:
         (there, from_port, *_), (here, to_port, *_) = connection.getpeername(), connection.getsockname()
@@ -35,4 +35,4 @@ def user_of_peer(connection: socket.socket) -> int | None:
             return None
         raise OSError(-code, os.strerror(-code))
     user, inode = struct.unpack_from("=II", reply, 16 + 64)
-    return user if inode else None  # without one it is nobody's any more, whose user reads as 0
+    return user if inode else None  # without one it has no owner, and its user reads as 0

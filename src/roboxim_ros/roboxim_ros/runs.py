@@ -149,7 +149,7 @@ class Run:
     births: tuple[int, ...]
     """Start of each process in clock ticks since boot, to detect reused process ids."""
     nodes: tuple[str, ...] = ()
-    """Full names of the run's known nodes, so that discovery can tell when it is complete."""
+    """Full names of the run's known nodes, so that discovery knows when it is complete."""
     folder: str = ""
     """Absolute path of the folder that its episodes are recorded in; empty: none."""
 

@@ -1,4 +1,4 @@
-"""Spinning that goes on after a failure of the middleware."""
+"""Spinning that survives a failure of the middleware."""
 
 from __future__ import annotations
 

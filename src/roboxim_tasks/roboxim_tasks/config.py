@@ -192,8 +192,8 @@ class MixConfig:
     set: dict[str, Any] = field(default_factory=dict)
     """Keys to replace in every task; a null removes a key."""
     seed_by: str = "index"
-    """``index``: an episode depends on its index in the run; ``cell``: on its cell and its number there, so that mixes
-    with other cells or counts have the same episodes in the cells that they share."""
+    """``index``: an episode depends on its index in the run; ``cell``: on its cell and its number there, so mixes with
+    other cells or counts have the same episodes in shared cells."""
 
     version: int = 0
     """Version of a suite: results of two versions are not compared; 0: no suite."""

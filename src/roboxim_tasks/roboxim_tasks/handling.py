@@ -35,7 +35,7 @@ The widest object that the gripper takes is 8 cm wide, so the fingers reach at m
 beyond the tool centre point.
 """
 SQUEEZE_N = 2.0
-"""Force from which an object counts as gripped, where two links press it from opposite sides [N].
+"""Smallest force of two links from opposite sides with which an object counts as gripped [N].
 
 It is a tenth of the gripper's force. Fingers that push side by side press in one direction, so they do not grip."""
 OPPOSITE = -0.5

@@ -1,7 +1,7 @@
 """Measures beside success: force, speed, path, smoothness, what was touched, and volumes to keep out of.
 
 They are recorded in the episodes of tasks that have ``limits``, at each tick for the episode so far. They change a
-verdict only where the task says so.
+verdict only if the task demands it.
 
 Non-obvious: a volume is entered by any link of the arm or the gripper, by its collision shapes, or by the origin of an
 object that the robot touches. The generator writes into the limits which arm that is; in episodes from before it did,

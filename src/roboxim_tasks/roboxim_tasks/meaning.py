@@ -129,8 +129,7 @@ def _alone(step: TaskSpec) -> TaskSpec:
 def _match(template: str, text: str, skill: Skill, library: ModelLibrary) -> dict[str, str] | None:
     """Return the words in place of a template's names; none: the text does not follow it.
 
-    A role's words end with a noun of the library where that is possible, so that "Push the soda can back" is read
-    rightly.
+    A role's words end with a noun of the library if possible, so that "Push the soda can back" is parsed correctly.
     """
     nouns = sorted({library.object(model).name for model in library.object_ids}, key=len, reverse=True)
     thing = rf"(?:[\w-]+ )*?(?:{'|'.join(map(re.escape, nouns))})|.+?"
@@ -145,7 +144,7 @@ def _match(template: str, text: str, skill: Skill, library: ModelLibrary) -> dic
 
 
 def _roles(skill: Skill, words: Mapping[str, str]) -> bool:
-    """Return whether the words in place of other names than roles fit the skill's parameters."""
+    """Return whether the words for placeholders other than roles fit the skill's parameters."""
     return all(name in skill.roles or _parameter(skill, name, word) for name, word in words.items())
 
 

@@ -63,7 +63,7 @@ class ExpertScene:
     lifted: bool = False
     """Whether the held entity has been lifted off its support."""
     recovering: bool = False
-    """Whether an earlier try failed, so that the gripper may be closed and anywhere."""
+    """Whether an earlier try failed, so that the gripper may be closed and at any pose."""
     direct: bool = False
     """Whether motions go straight from stage to stage and ignore obstacles."""
 

@@ -1,4 +1,4 @@
-"""How a thing stands or lies at the end, and what else the robot put there.
+"""Measures of how an object stands or lies at the end, and of other objects that the robot put there.
 
 The conditions are folds over state records like those of `roboxim_tasks.measures`, so they judge live and from a bag.
 """

@@ -1,4 +1,4 @@
-"""Probe a Gymnasium environment for what makes its success rates wrong."""
+"""Probe a Gymnasium environment for faults that make its success rates wrong."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def command(
     environment: str, seeds: int, steps: int, episodes: int, limit: int, solver: str, options: tuple[str, ...],
     as_json: bool,
 ) -> None:  # fmt: skip
-    r"""Probe a Gymnasium ENVIRONMENT for what makes its success rates wrong or not repeatable.
+    r"""Probe a Gymnasium ENVIRONMENT for faults that make its success rates wrong or not repeatable.
 
     \b
     roboxim audit-benchmark roboxim/PickCube-v0 --episodes 3

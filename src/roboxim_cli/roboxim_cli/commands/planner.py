@@ -88,7 +88,7 @@ def show(source: str, out: Path, folder: Path | None) -> None:
     roboxim planner show latest
     roboxim planner show request.yaml
 
-    SOURCE is a dump, or a YAML file of what is sent to a planning service:
+    SOURCE is a dump, or a YAML file with the request of a planning service:
 
     \b
     service: plan_to_pose

@@ -147,7 +147,7 @@ def new_server(out: Path) -> None:
 @click.option("--renderer", type=Named("renderer"), default="raster", show_default=True, help="Renderer.")
 @option("out", default="policy_check.png", help="File of the pictures that were sent.")
 def check(spec: str, options: tuple[str, ...], task: str, seed: int, renderer: str, out: Path) -> None:
-    r"""Ask a policy server in one episode before you evaluate it, and show what looks wrong.
+    r"""Test a policy server in one episode before you evaluate it, and show suspicious findings.
 
     \b
     roboxim policy check --policy openpi --option url=ws://host:8000 --option convention=libero --option version=pi05
@@ -201,7 +201,7 @@ def list_policies() -> None:
 
 @command.command("conventions")
 def list_conventions() -> None:
-    """List the conventions: what policies that were trained elsewhere are sent, and what their answers mean.
+    """List the conventions: the requests to policies that were trained elsewhere, and the meaning of their answers.
 
     A convention with an invalid file is reported as an error at the end, after the others.
     """

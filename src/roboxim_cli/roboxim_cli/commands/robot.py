@@ -1,4 +1,4 @@
-"""Make a robot of your own from a URDF, check it, draw it."""
+"""Make a robot from a URDF, check it, draw it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from roboxim_cli.options import option, parse_size
 
 @strict.group()
 def command() -> None:
-    """Make a robot of your own from a URDF, check it, draw it."""
+    """Make a robot from a URDF, check it, draw it."""
 
 
 def _numbers(ctx: click.Context, param: click.Parameter, text: str) -> tuple[float, ...]:

@@ -28,7 +28,7 @@ def command(folders: tuple[Path, ...], as_json: bool) -> None:
     roboxim runs runs/demos-shards
 
     Runs in a folder may be on any machine and any executor; the folder says how far they are. Each has a file
-    events.jsonl with one JSON object a line, which grows while the run goes on.
+    events.jsonl with one JSON object a line, which grows during the run.
     """
     if folders:
         _list_folders(folders, as_json)

@@ -1,4 +1,4 @@
-"""The lag of another simulator's controller: a motion begins slowly and goes on after its command has ended.
+"""The lag of another simulator's controller: a motion begins slowly and continues after its command has ended.
 
 Policies that were trained in a simulator with a soft controller have learned to act with its lag. `MotionLag`
 reproduces it for the executed actions of an episode, one after another.

@@ -29,8 +29,8 @@ class ControllerResponse:
     gain: tuple[float, ...] = ()
     """Share of the commanded delta by which the arm moves in a tick of steady motion, 6 numbers."""
     lag: tuple[float, ...] = ()
-    """Share of a tick's motion that goes on in the next one, 6 numbers, see `roboxim_core.actions.lag`. The first tick
-    of a motion moves the arm by gain (1 - lag) of the delta."""
+    """Share of a tick's motion that continues in the next tick, 6 numbers, see `roboxim_core.actions.lag`. The first
+    tick of a motion moves the arm by gain (1 - lag) of the delta."""
     error_mm: float = 0.0
     """Root mean square error of a tick's translation against the genuine controller [mm]; 0: not stated."""
     error_mrad: float = 0.0

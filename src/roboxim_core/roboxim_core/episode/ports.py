@@ -92,7 +92,7 @@ class RecorderPort(Protocol):
         ...
 
     def wait_written(self) -> None:
-        """Wait until every tick is in the bag. The loop calls it before the simulator goes on."""
+        """Wait until every tick is in the bag. The loop calls it before the simulator continues."""
         ...
 
     def close(self, result: EpisodeResult, keep: str, received: Sequence[str] = ()) -> str:

@@ -79,7 +79,7 @@ class RunConfig:
     latency_ticks: int = 0
     """Ticks by which every answer is late."""
     real_time: bool = False
-    """Whether simulated time goes on while the policy thinks: an answer that took x s of wall time arrives x s of
+    """Whether simulated time passes while the policy computes: an answer that took x s of wall time arrives x s of
     simulated time after its observation, rounded up to ticks. Such a run is not repeatable."""
     max_steps: int = 0
     """Number of actions after which an episode has failed; 0: the skill's limit."""

@@ -262,7 +262,7 @@ class GripperModel:
     speed_m_s: float
     """Speed of each finger [m/s]."""
     keeps_speed: bool = False
-    """Whether the simulated motors keep to `speed_m_s`. Those of the Franka hand are faster, as in all its episodes."""
+    """Whether the simulated motors keep to `speed_m_s`. The Franka hand uses faster ones, as in all its episodes."""
     links: tuple[str, ...] = ()
     """Links that may touch a held object: the hand, the two finger tips, and what else moves with the fingers."""
     followers: tuple[FollowerJoint, ...] = ()

@@ -45,7 +45,7 @@ def read_text(path: Path | str, max_bytes: int = limits.YAML_BYTES) -> str:
     encoding = "UTF-8"
     try:
         with open(file, "rb") as stream:
-            about = os.fstat(stream.fileno())  # read() takes memory for as much as it is asked for
+            about = os.fstat(stream.fileno())  # read() allocates memory for the requested size
             limit = min(max_bytes, max(about.st_size, 2**16)) if stat.S_ISREG(about.st_mode) else max_bytes
             content = stream.read(limit + 1)
         if len(content) > max_bytes:

@@ -1,8 +1,8 @@
 """Instructions in other words: sets of templates in ``config/wordings``, split into trained and held-out ones.
 
 ``SKILL.yaml`` has the wording that a task has by default (``first``) and sets of others: ``trained``, ``held_out``, and
-other languages. ``words_SET.yaml`` says what stands in place of names in a set of another language. A user's own files
-of the same names replace them (``ROBOXIM_CONFIG_PATH``).
+other languages. ``words_SET.yaml`` translates names for a set of another language. A user's own files of the same names
+replace them (``ROBOXIM_CONFIG_PATH``).
 """
 
 from __future__ import annotations

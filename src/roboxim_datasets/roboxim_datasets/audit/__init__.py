@@ -1,4 +1,4 @@
-"""Audit of datasets: faults that spoil training data, found by checks that anybody can add to.
+"""Audit of datasets: finds faults that spoil training data, by an extensible set of checks.
 
 The checks here are pure. Ground truth (`Truth`) comes from whoever has it; in RoboXim `roboxim_runs.datasets.audit`
 measures it from bags, with the judge and a renderer.

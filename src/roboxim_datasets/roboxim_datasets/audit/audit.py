@@ -56,7 +56,7 @@ class Auditor:
         self._unreadable[name] = why
 
     def note(self, check: str, findings: Iterable[Finding]) -> None:
-        """Add findings that no single episode shows, such as that one is missing; of a check that is made."""
+        """Add findings about the whole dataset, such as a missing episode; of a check that is made."""
         if check in self._findings:
             self._findings[check] += findings
 

@@ -1,4 +1,4 @@
-"""What an episode's actions ask of the arm, and what the arm was measured to do, as increments of the same quantities.
+"""Commanded and measured motion of an episode's arm, as increments of the same quantities.
 
 Increments compare whatever the control mode is: a motion that is commanded relative to the last target, relative to
 the measured pose, or as an absolute target becomes the step from target to target. Two targets count. The *executed*

@@ -1,7 +1,7 @@
 """Checks of datasets, by name: one class per check, one file per family.
 
-A check looks at one episode after another and may conclude something about all of them. Another distribution adds one
-through the entry point group ``roboxim.audit_check``.
+A check examines the episodes one after another, and may then report findings about all of them. Another distribution
+adds one through the entry point group ``roboxim.audit_check``.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from roboxim_datasets.audit.values import AuditEpisode, Finding
 
 
 class AuditCheck:
-    """A check. An audit makes a fresh one, which may remember what it has seen."""
+    """A check. Each audit creates a new instance, which may keep state."""
 
     title: ClassVar[str] = ""
-    """What it looks for, as a short noun phrase."""
+    """The fault that it finds, as a short noun phrase."""
     reason: ClassVar[str] = ""
     """Why a trainer cares, in one sentence."""
     threshold: ClassVar[str] = ""

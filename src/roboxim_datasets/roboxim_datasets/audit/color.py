@@ -8,7 +8,7 @@ import numpy.typing as npt
 SAMPLED_PX = 256
 """Pixels of an object that its colours are compared by, evenly spread."""
 SHARE_ALIKE = 0.9
-"""Share of an object's pixels whose colours another one must have, too, to look like it."""
+"""Share of an object's pixels whose colours another object must contain to look like it."""
 
 _WHITE = np.array([0.95047, 1.0, 1.08883])
 _XYZ_OF_RGB = np.array(

@@ -72,7 +72,7 @@ def runs_of(flags: Flags) -> list[tuple[int, int]]:
 
 
 def likeliest(edited: Values, other: Values, names: Sequence[str]) -> str:
-    """Return in words which edit turns rows into what they should be; empty: none does.
+    """Return in words which edit turns rows into the expected ones; empty: none does.
 
     Args:
         edited: Rows that may be edited, shape (T, n).

@@ -1,7 +1,7 @@
-"""What an audit reads and what it reports, as plain values.
+"""Inputs and findings of an audit, as plain values.
 
-An audited episode is an `Episode` with its place in the dataset and, where somebody can give it, its ground truth. The
-arrays are read once; images are read once more for their summaries, and never kept.
+An audited episode is an `Episode` with its place in the dataset and, if available, its ground truth. The arrays are
+read once; images are read once more for their summaries, and never kept.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Values = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 NO_TRUTH = "the dataset holds no state of the scene; name the bags that it was exported from (--bags)"
-"""Why a check that needs ground truth cannot be made of a dataset alone."""
+"""Why a check that needs ground truth cannot run on a dataset alone."""
 NO_EXPECTED = "nothing says what its values should be; name its bags (--bags) or another dataset of it (--against)"
 """Why a dataset alone is not compared value by value."""
 
@@ -175,7 +175,7 @@ class AuditEpisode:
     no_expected: str = NO_EXPECTED
     """Why nothing says what it should be."""
     unexpected: str = ""
-    """Why it should not be there at all; empty: it should."""
+    """Why it should not exist; empty: it should."""
     lossless: bool = True
     """Whether its images should be equal to the expected ones, pixel by pixel."""
     exact_images: bool = False
@@ -208,8 +208,8 @@ class AuditEpisode:
     def proprio(self) -> dict[str, Floats]:
         """All of the proprioception: field to float32, shape (T, size).
 
-        A field is a `roboxim_core.proprioception.ProprioField` where the names of the components tell it, in whichever
-        vector of the dataset it is; a vector of unknown components keeps its name.
+        A field is a `roboxim_core.proprioception.ProprioField` if the names of the components identify it, in any
+        vector of the dataset; a vector of unknown components keeps its name.
         """
         found: dict[str, Floats] = {}
         for vector in self.steps[0].proprio:

@@ -1,7 +1,7 @@
 """Datasets in the HDF5 layout of robomimic, which robomimic, LIBERO and diffusion_policy read.
 
-A dataset is one file: ``data/demo_N`` holds an episode, ``mask`` the splits. RoboXim puts it into a folder, with the
-files that say how it was made.
+A dataset is one file: ``data/demo_N`` holds an episode, ``mask`` the splits. RoboXim puts it into a folder, with files
+that state its source and settings.
 """
 
 from roboxim_datasets.hdf5.dataset import Hdf5Format

@@ -1,8 +1,8 @@
 """HDF5 files on disks that may be full.
 
 The HDF5 library cannot close a file that it cannot write: the process ends with a segmentation fault. So the library
-writes into an object of Python. That one remembers the first error of the disk and drops what follows, so that the
-library closes its file as ever; then the error is raised.
+writes into an object of Python. This object stores the first error of the disk and drops all further data, so that the
+library closes its file normally; then the error is raised.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def new_file(path: Path) -> Iterator[Any]:
 
 
 class _Disk(io.RawIOBase):
-    """A file that remembers its first error and then drops what is written."""
+    """A file that stores its first error and then drops all writes."""
 
     def __init__(self, raw: BinaryIO) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Where the parts of an episode are in an HDF5 file that says nothing of it: robomimic's, robosuite's, Isaac Lab's.
+"""Finds the parts of an episode in an HDF5 file without a description: robomimic's, robosuite's, Isaac Lab's.
 
 What most episodes have, with the same shape, is the layout. An episode that lacks a part of it is left out by name, and
 a part that most episodes lack is left out too.
@@ -172,7 +172,7 @@ def cameras_of(paths: Iterable[str]) -> dict[str, str]:
 
 
 def layout_of(episodes: Mapping[str, Mapping[str, Array]], *, depth: bool = False) -> Layout:
-    """Return the layout of a file from what its episodes have; without ``actions`` if none has any.
+    """Return the layout of a file from the arrays of its episodes; without ``actions`` if none has any.
 
     Args:
         episodes: Name to the arrays.
@@ -200,7 +200,7 @@ def layout_of(episodes: Mapping[str, Mapping[str, Array]], *, depth: bool = Fals
 
 
 def changed(path: str, array: Array) -> str:
-    """Return how what is read of an array differs from what it holds; empty: it does not."""
+    """Return how the read values of an array differ from the stored ones; empty: it does not."""
     if path.startswith("obs/") and len(array.shape) == 3:
         return ""
     parts = [] if array.dtype == "float32" else [f"{array.dtype}, read as float32"]

@@ -1,4 +1,4 @@
-"""What an HDF5 file holds, looked at without leaving the file and without believing the sizes that it declares.
+"""Inspects an HDF5 file without following links to other files and without trusting its declared sizes.
 
 A link can lead to another file, a dataset's values can lie in one, and a dataset without any stored value can claim to
 be larger than any memory. Each of these is found before a value is read.

@@ -27,7 +27,7 @@ _ROUNDED = 1e-6  # of a time, as float32
 
 
 def take_stock(account: Account, meta: LeRobotMeta, *, own: bool, unusable: str) -> None:
-    """Note what the files of a dataset hold and what of it is read.
+    """Note the parts of a dataset's files and which of them are read.
 
     Args:
         account: What is noted.
@@ -125,7 +125,7 @@ def _off_the_clock(meta: LeRobotMeta, name: str, rows: Rows) -> tuple[int, float
 
 
 def _changed(meta: LeRobotMeta, key: str, first: Any = None) -> str:
-    """Return how what is read of a column differs from what it holds.
+    """Return how the read values of a column differ from the stored ones.
 
     Args:
         meta: What the dataset says of itself.

@@ -320,7 +320,7 @@ def _grouped(sizes: list[int], max_size: int) -> list[range]:
 
 
 def _link(source: Path, target: Path) -> None:
-    """Give a file a second name; copy it where the file system has no such thing."""
+    """Give a file a second name; copy it if the file system has no hard links."""
     try:
         os.link(source, target)
     except OSError:

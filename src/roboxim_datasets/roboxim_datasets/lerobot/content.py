@@ -1,4 +1,4 @@
-"""Where the parts of an `Episode` are in a LeRobot dataset, and the file that says so."""
+"""Maps the parts of an `Episode` to a LeRobot dataset, and the file that stores this mapping."""
 
 from __future__ import annotations
 

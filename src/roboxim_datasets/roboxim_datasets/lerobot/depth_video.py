@@ -52,7 +52,7 @@ class Levels:
         return np.clip(found, self.near_m, self.far_m).astype(np.float32)
 
     def __str__(self) -> str:
-        """Return what is said of them in an account."""
+        """Return their description in an account."""
         if self.unit_m:
             return f"depth in units of {self.unit_m:g} m, read as metres"
         return (

@@ -1,7 +1,7 @@
-"""Opens Parquet files that do not unpack to far more than they weigh.
+"""Opens Parquet files, and refuses those that would unpack to far more than their size.
 
-Run lengths, dictionaries and zstd let a file of a kilobyte hold gigabytes of equal values. What a file holds once it is
-unpacked stands in its footer, so it is judged before anything is unpacked.
+Run lengths, dictionaries and zstd let a file of a kilobyte hold gigabytes of equal values. The footer of a file states
+the unpacked size, so it is checked before anything is unpacked.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ def open_parquet(folder: Path, name: Path | str) -> pq.ParquetFile:
 def _unpacked_bytes(place: Path) -> int:
     """Return the unpacked size of all columns, as the footer says it.
 
-    pyarrow's ``RowGroupMetaData.column`` ends the process at some damaged footers (26.0.1), hence the own reader.
+    pyarrow's ``RowGroupMetaData.column`` ends the process at some damaged footers (26.0.1), so this module reads them
+    itself.
     Source: apache/parquet-format, parquet.thrift (FileMetaData 4, RowGroup 1, ColumnChunk 3, ColumnMetaData 5 and 6).
     """
     with place.open("rb") as file:

@@ -181,7 +181,7 @@ class LeRobotDataset(Dataset):
         return tables.json_lines(self.path, name) if has_file(self.path, name) else []
 
     def _succeeded(self, place: Place) -> bool | None:
-        """Return whether the last step says success, as far as the dataset has such a column."""
+        """Return whether the last step is marked as a success; None: the dataset has no such column."""
         if "next.success" in self.meta.features and "next.success" not in self.meta.unread:
             return bool(floats(self._rows(place, ["next.success"]), "next.success", 1, self._where(place))[-1, 0] > 0)
         if "next.reward" in self.meta.features and "next.reward" not in self.meta.unread:

@@ -20,7 +20,7 @@ from roboxim_datasets.rlds.tfrecord import Feature, decode_example, encode_examp
 
 Array = npt.NDArray[np.float32]
 SUBTASK = "steps/language_subtask"
-"""Path of the text that says what is to be done at a step of a longer task."""
+"""Path of the text of a step's subtask in a longer task."""
 META_TYPES = {"text": str, "int64": int, "bool": bool, "float32": float}
 META_NAMES: dict[type, str] = {kind: name for name, kind in META_TYPES.items()}
 _CLASS = "tensorflow_datasets.core.features."

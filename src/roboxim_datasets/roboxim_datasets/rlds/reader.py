@@ -271,7 +271,8 @@ class RldsDataset(Dataset):
             joint_names=episode.joint_names,
             semantics=episode.semantics,
             text=self.reader.text,
-            outcomes=features.metadata.get("success") == "bool",  # another type can hold what says neither yes nor no
+            outcomes=features.metadata.get("success")
+            == "bool",  # another type can hold a value other than true and false
         )
 
     # -- what the files hold
@@ -320,7 +321,7 @@ class RldsDataset(Dataset):
 
 
 def _in_order(key: str, payload: bytes, count: int) -> bool:
-    """Return whether a flag is true at the step alone that its name says."""
+    """Return whether a flag is true only at the step that its name states."""
     values = np.asarray(decode_example(payload, (key,)).get(key, ()))
     return values.shape == (count,) and np.flatnonzero(values).tolist() == [0 if key.endswith("first") else count - 1]
 

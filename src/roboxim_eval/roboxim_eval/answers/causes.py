@@ -40,7 +40,7 @@ class Explanation:
 
     kind: Kind
     """``chance``: it succeeds without a change. ``single``: one change is a cause. ``several``: each of several changes
-    alone is one. ``together``: no change alone is one, but two together are. ``none``: no tried change is one."""
+    alone is one. ``together``: no single change is one, but a pair is. ``none``: no tried change is one."""
     causes: tuple[Tally, ...]
     """The changes with which it succeeds, the clearest first."""
     as_it_was: Tally
@@ -96,7 +96,7 @@ def explanation(as_it_was: Tally, singles: Sequence[Tally], pairs: Sequence[Tall
     Args:
         as_it_was: The episode without a change.
         singles: Each change alone.
-        pairs: Two changes together, tried where none alone is a cause.
+        pairs: A pair of changes, tried if no single change is a cause.
     """
     tried = (*singles, *pairs)
     if 2 * as_it_was.successes > as_it_was.runs:

@@ -1,8 +1,8 @@
-"""Choice among many policies by successive halving, and the winner's rate on scenes that did not choose it.
+"""Choice among many policies by successive halving, and the winner's rate on fresh scenes.
 
-All policies play a few scenes, the better half plays as many again and more, and so on until one is left. The rate of
-the winner in the scenes that chose it is too high: of equal policies the luckiest wins. The winner therefore plays
-fresh scenes, and only these give its rate and interval.
+All policies play a few scenes; the better half plays more, and so on until one is left. The winner's rate in the scenes
+of the choice is too high: of equal policies the luckiest wins. So the winner plays fresh scenes, which alone give its
+rate and interval.
 
 Source:
     Karnin, Koren and Somekh, "Almost Optimal Exploration in Multi-Armed Bandits", 2013 (sequential halving).
@@ -65,7 +65,7 @@ class Choice:
 
     @property
     def choosing(self) -> SuccessRate:
-        """The winner's rate in the scenes that chose it, which is too high on average."""
+        """The winner's rate in the scenes of the choice, which is too high on average."""
         last = self.rounds[-1]
         return success_rate(last.successes[self.winner], last.scenes)
 

@@ -33,7 +33,7 @@ PEEL = 0.12
 MIN_POINTS = 5
 """Fewest points of a box."""
 MARGIN = 0.15
-"""Part of a box's side by which points around it lie outside."""
+"""Margin around a box in which points are drawn, as a share of its side."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,7 +218,7 @@ def _peeled(points: Array, failed: Mask, low: Array, high: Array) -> Box | None:
 
 
 def _simplified(points: Array, failed: Mask, box: Box) -> Box:
-    """Return a box without borders that do not help to separate its failures."""
+    """Return a box without the borders that do not help to separate failures."""
     low, high = box[0].copy(), box[1].copy()
     improved = True
     while improved:

@@ -1,4 +1,4 @@
-"""From probes of an environment to findings: faults that make a benchmark's success rates wrong or not repeatable."""
+"""Finds faults in probes of an environment that make a benchmark's success rates wrong or not repeatable."""
 
 from __future__ import annotations
 

@@ -152,7 +152,7 @@ def is_benchmark_card(data: Any) -> bool:
 
 
 def check_benchmark_card(data: Any, *, source: str = "card") -> BenchmarkCard:
-    """Compute a benchmark's scores again from the counts of its experiments, and refuse a card that states others.
+    """Recompute a benchmark's scores from the counts of its experiments, and refuse a card with other scores.
 
     Raises:
         ConfigError: When the data is no such card, or it or the card of an experiment was changed.

@@ -22,7 +22,7 @@ class ReferenceScore:
 
 @dataclass(frozen=True, kw_only=True)
 class Reference:
-    """Published results that a report shows beside its own."""
+    """Published results that a report shows next to its own."""
 
     name: str
     """Measured quantity, and the publication."""

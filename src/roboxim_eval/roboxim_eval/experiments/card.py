@@ -2,7 +2,7 @@
 
 Scores, verdicts and sentences follow from ``evaluations``, ``pairs`` and ``judged_again`` alone, so that
 `roboxim_eval.experiments.card_checks` computes them again without any bag. ``sha256`` covers everything but ``times``:
-an experiment that was interrupted and continued has the same one.
+interrupting and continuing an experiment does not change it.
 
 Counts come from results, hashes from the run's folder, `proofs` from the bags, and `judged_again` from bags that were
 judged by the other instructions of the training.
@@ -161,7 +161,7 @@ class CardFresh:
     seed: int
     """Seed of the first replicate's scenes."""
     nonce: str
-    """Random text that was hashed with the seed, so that nobody can guess the seed from the hash."""
+    """Random text that was hashed with the seed, so that the hash does not reveal the seed."""
     commitment: str
     """Hash of nonce and seed, which could be published before the seed was used."""
     trained_before: int = 0

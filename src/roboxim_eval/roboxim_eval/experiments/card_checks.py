@@ -1,4 +1,4 @@
-"""From a card's counts to its scores, verdicts and sentences, and the check that a stored card agrees with them."""
+"""Computes a card's scores, verdicts and sentences from its counts, and checks that a stored card agrees with them."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def card_curve(card: Card) -> TransferCurve | None:
 
 
 def check_card(data: Any, *, source: str = "card") -> Card:
-    """Compute a card's scores and sentences again from its counts, and refuse a card that states others.
+    """Recompute a card's scores and sentences from its counts, and refuse a card with others.
 
     Raises:
         ConfigError: When the data is no card of this schema, or was changed; names the first part that differs.
@@ -100,7 +100,12 @@ def check_card(data: Any, *, source: str = "card") -> Card:
     card = parse_card(data, source=source)
     try:
         again = concluded(card).plain
-    except (LookupError, ArithmeticError, TypeError, ValueError) as error:  # a part names things that the others lack
+    except (
+        LookupError,
+        ArithmeticError,
+        TypeError,
+        ValueError,
+    ) as error:  # a part refers to entries that the others lack
         raise ConfigError(f"{source}: its parts contradict each other ({error!r}); it was changed") from None
     require_committed(card, source)
     for part in DERIVED:

@@ -44,7 +44,7 @@ class Cell:
 
 
 def named_cell(name: str) -> Cell | None:
-    """Return the cell that a mix records by a name, all of whose factors but the task are taken as roles.
+    """Return the cell of a name that a mix records; all factors except the task are taken as roles.
 
     Args:
         name: For example ``pick_up target=apple camera=left``.

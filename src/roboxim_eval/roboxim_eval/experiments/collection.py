@@ -1,10 +1,10 @@
-"""Which demonstrations next: more where a policy is weak, against as many spread evenly.
+"""Compares two ways to collect further demonstrations: more where a policy is weak, or spread evenly.
 
-A round begins with the card of a finished experiment. From its success by cell follows an experiment of two arms: both
-have the demonstrations of before and the same number of new ones. In the arm ``made_to_order`` the new ones go to the
-cells in proportion to their failures, in the arm ``uniform`` each cell receives as many. Trainings and scenes have new
-seeds: the scenes that named the weak cells do not judge the answer. The card of a round begins the next one, in which
-each arm continues from its own demonstrations.
+A round begins with the card of a finished experiment. Its success by cell determines an experiment with two arms. Both
+contain the existing demonstrations and the same number of new ones. The arm ``made_to_order`` distributes the new ones
+in proportion to the cells' failures, the arm ``uniform`` evenly. Trainings and scenes have new seeds, so the scenes
+that showed the weak cells do not judge the result. The card of a round is the start of the next one, in which each arm
+continues from its own demonstrations.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def next_round(card: Card, demonstrations: int, condition: str = "") -> Round:
             trained condition of the primary comparison.
 
     Raises:
-        ConfigError: When the condition is none that is trained, or was not evaluated in all cells of its dataset.
+        ConfigError: When the condition is not trained, or was not evaluated in all cells of its dataset.
     """
     design = design_of_card(card)
     config = design.config

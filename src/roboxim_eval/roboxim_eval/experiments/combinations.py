@@ -1,9 +1,9 @@
-"""Transfer as a curve: how many combinations must a policy see to succeed in those that it never saw?
+"""Transfer as a curve: how many combinations must a policy see to succeed in unseen ones?
 
 The file states the held-out cells and some numbers of seen cells. For each number there is a dataset and a condition
 ``seen_N``. All have the same number of demonstrations, spread evenly over the cells of the set, and the same training
-steps. A set contains the smaller ones, so that what differs between two of them is only what was added. Every level of
-every factor is in the smallest set: what is new in a held-out cell is the combination alone.
+steps. Each set contains the smaller ones, so two sets differ only by the added cells. The smallest set contains every
+level of every factor, so only the combination is new in a held-out cell.
 """
 
 from __future__ import annotations

@@ -91,7 +91,7 @@ class NoiseConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ConditionConfig:
-    """A condition: policies that are trained, or evaluated, in one way."""
+    """A condition: policies that are trained, or evaluated, in the same way."""
 
     LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("arguments",)
     """Later fields, see `roboxim_core.config.LEFT_OUT`: cards without them keep their hashes."""
@@ -119,8 +119,8 @@ class ConditionConfig:
         """Check that the policies have one origin.
 
         Raises:
-            ConfigError: When there is none, or more than one, steps or ticks are negative, or arguments are for a
-                condition that is not trained.
+            ConfigError: When none or several are given, steps or ticks are negative, or arguments are for a condition
+                that is not trained.
         """
         if sum((bool(self.train), bool(self.checkpoint_of), self.given)) != 1:
             raise ConfigError(

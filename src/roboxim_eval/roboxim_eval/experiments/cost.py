@@ -25,7 +25,7 @@ MIN_LEARNING_STEPS = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class SideBySide:
-    """Measured rate of trainings that run side by side, where they share processors, memory and GPUs."""
+    """Measured rate of trainings that run in parallel and share processors, memory and GPUs."""
 
     trainings: int
     """Number of trainings at a time."""
@@ -124,9 +124,9 @@ class Rates:
         return {rate.trainings: rate for rate in sorted((alone, *self.side_by_side), key=lambda rate: rate.trainings)}
 
     def at_once(self, trainings: int) -> SideBySide | None:
-        """Return the rate of a number of trainings at a time; none: no such number nor a larger one was measured.
+        """Return the rate of a number of trainings at a time; none: neither this number nor a larger one was measured.
 
-        A number between two that were measured has a rate between theirs.
+        Rates between two measured numbers are interpolated.
         """
         known = self.training_rates
         if trainings in known or trainings > max(known):
@@ -326,8 +326,8 @@ def fitted(
 ) -> ExperimentConfig | None:
     """Return the size of an experiment that finds the smallest difference within a budget.
 
-    More trainings find smaller differences than more scenes do, so they are bought first. Fewer than three are chosen
-    only if no more fit, since they show nothing about a way to train.
+    Trainings are added before scenes, because they allow smaller differences to be found. Fewer than three are chosen
+    only if no more fit, because they show nothing about a training condition.
 
     Args:
         config: The experiment at its scale.

@@ -173,7 +173,7 @@ def require_different(design: Design) -> None:
 
 
 def _check_replicates(config: ExperimentConfig) -> None:
-    """Check that trainings of a condition differ: equal ones would be one training that counts several times."""
+    """Check that trainings of a condition differ: otherwise one training would count several times."""
     if not config.replicates.vary and any(condition.train for condition in config.conditions.values()):
         raise ConfigError(
             "replicates.vary: is empty, so that all trainings of a condition would have the same seed and the same "
@@ -294,7 +294,7 @@ class Stage:
     needs: tuple[str, ...]
     """Stages that must be finished before."""
     inputs: dict[str, Any]
-    """Everything that the result depends on, as plain data, besides the stages that it needs."""
+    """All inputs of the result as plain data, except the stages that it needs."""
     sha: str
     """Hash of the inputs and of the needed stages' hashes."""
 

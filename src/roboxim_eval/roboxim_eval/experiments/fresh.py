@@ -1,11 +1,11 @@
-"""Fresh scenes: evaluation scenes on which nobody could tune a policy.
+"""Fresh scenes: evaluation scenes on which a policy cannot have been tuned.
 
-The seeds of an experiment's scenes are public, like its file, so that policies can be tuned on these very scenes. A
-fresh seed is drawn for one run. Its commitment, a hash, can be published before the trainings without giving the seed
-away. The card then names the seed, and everybody can check that it is the one that was committed to: it was not chosen
-among several after their results were seen.
+The seeds of an experiment's scenes are public, like its file, so policies can be tuned on these scenes. A fresh seed is
+drawn for one run. Its commitment, a hash, can be published before the trainings without revealing the seed. The card
+then names the seed, and anyone can check that it matches the commitment: it was not chosen among several after their
+results were seen.
 
-Where the same policies were also evaluated in the public scenes, a card warns of those that are better there.
+If the same policies were also evaluated in the public scenes, the card warns of those that are better there.
 """
 
 from __future__ import annotations
@@ -112,8 +112,8 @@ class PublicAdvantage:
 def public_advantages(card: Card) -> tuple[PublicAdvantage, ...]:
     """Compare a card's policies in the public scenes with the same policies in fresh ones.
 
-    The question is about these very policies, so that their rollouts are the sample: Boschloo's test on the cells that
-    both evaluations met. Rollouts in several cells vary less than the test assumes; it errs on the safe side.
+    The comparison is about these policies, so their rollouts are the sample: Boschloo's test on the cells that both
+    evaluations met. Rollouts in several cells vary less than the test assumes; it errs on the safe side.
 
     Returns:
         A comparison for each condition; none where a card has no results in the public scenes.

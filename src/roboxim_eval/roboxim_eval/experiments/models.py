@@ -101,8 +101,8 @@ class Models:
     warnings: Mapping[str, tuple[str, ...]]
     """Model to the warnings of its own card."""
     strengths: Mapping[str, float]
-    """Model to the log-odds that it, not an average model, solved a scene that one of two solved; the strongest first.
-    Empty where all met the same scenes, or too few scenes connect them."""
+    """Model to the log-odds that it, rather than an average model, solved a scene that exactly one of the two solved;
+    the strongest first. Empty where all met the same scenes, or too few scenes connect them."""
     circumstances: tuple[str, ...]
     """Other differences between the runs than the models, a sentence each, e.g. their scales."""
 

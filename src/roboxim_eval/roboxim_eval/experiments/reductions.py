@@ -13,7 +13,7 @@ from roboxim_eval.experiments.config import ExperimentConfig
 WORDING = ("about", "thesis", "deviations", "scales")
 """Keys of an experiment without effect on its work; ``about`` of a condition also has none."""
 ZEROS = {"max_steps": "as the task says", "steps": "as the trainer says"}
-"""Keys whose 0 stands for a number of another file."""
+"""Keys whose value 0 means a number from another file."""
 
 
 def deciding(config: ExperimentConfig) -> dict[str, Any]:

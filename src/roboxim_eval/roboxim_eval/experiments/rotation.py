@@ -1,8 +1,8 @@
-"""Rotated designs: the held-out set changes from part to part, so that a score is about factors, not about a few cells.
+"""Rotated designs: the held-out set changes from part to part, so a score describes factors, not a few cells.
 
-An experiment with one held-out set measures a policy in those cells. A rotated one consists of parts, each an
-ordinary experiment with a held-out set of its own and trainings of its own. The sets are disjoint, like the symbols of
-a Latin square: each holds out every level of every factor about equally often, and leaves every level to be seen.
+An experiment with one held-out set measures a policy in those cells. A rotated one consists of parts, each an ordinary
+experiment with a held-out set of its own and trainings of its own. The sets are disjoint, like the symbols of a Latin
+square: each holds out every level of every factor about equally often, and every level remains in the training.
 
 `roboxim_eval.statistics.rotated` joins the parts' results.
 """

@@ -43,7 +43,7 @@ class Spread:
 def card_spreads(card: Card) -> tuple[Spread, ...]:
     """Return the components of each condition in the cells of the primary comparison, and of the comparison, last.
 
-    A card that compares nothing, or different cells, has those of its conditions in all their cells.
+    If the card compares nothing, or different cells, the components are those of its conditions in all their cells.
     """
     design, arms, primary = design_of_card(card), outcomes_of_card(card).arms, card.experiment.config.primary
     where = primary.where if primary is not None and not primary.against else "all"

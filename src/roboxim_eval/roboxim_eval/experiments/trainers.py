@@ -89,7 +89,7 @@ class TrainerConfig:
 
     @property
     def is_own(self) -> bool:
-        """Whether it is one of RoboXim's own trainers, which start from random weights and learn in its own axes."""
+        """Whether it is one of RoboXim's own trainers, which start from random weights and use RoboXim's axes."""
         return self.command.startswith("roboxim train ")
 
     @property

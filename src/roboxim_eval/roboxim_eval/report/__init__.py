@@ -1,4 +1,4 @@
-"""Reports: self-contained pages that open offline, for evaluations, experiments, benchmarks and comparisons of models.
+"""Reports: self-contained HTML pages for evaluations, experiments, benchmarks and comparisons of models.
 
 One design: `page` renders the templates, `charts` draws, `parts` has shared parts. `evaluation`, `experiment`,
 `benchmark` and `models` define the content of each page.

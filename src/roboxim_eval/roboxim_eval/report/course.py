@@ -17,7 +17,7 @@ UNITS = {
     "_m_s": (100.0, " cm/s"), "_rad_s": (180.0 / math.pi, "°/s"), "_m": (100.0, " cm"), "_rad": (180.0 / math.pi, "°"),
     "_deg": (1.0, "°"), "_n": (1.0, " N"), "_s": (1.0, " s"),
 }  # fmt: skip
-"""Ending of a measure's name to the factor and the unit in which people read it; longer endings first."""
+"""Ending of a measure's name to the factor and unit in which sentences state it; longer endings first."""
 LOST = {"grasped": "slipped", "lifted": "sank", "on_support": "left its support", "inside": "left the container"}
 """Condition to the verb for its loss; for others: "no longer <name>"."""
 PHRASES = {
@@ -31,7 +31,7 @@ WORDS = {"pressing_links": "fingers pressing it", "table_force_n": "force on the
          "surface_share": "distance from the support's middle (1: its edge)"}  # fmt: skip
 """Measure to its name for people, where the name itself does not say it."""
 MISSING = {"support_force_n": "nothing rested on its support"}
-"""Measure to how a sentence says that it stayed 0 where anything more would have done; others "stayed 0"."""
+"""Measure to the sentence for a value of 0 where any larger value would have sufficed; others "stayed 0"."""
 NOTHING = 0.02
 """Share of a bound below which a value is shown as 0."""
 TINY = 1e-6
@@ -90,7 +90,7 @@ class ConditionCourse:
 
     @property
     def lost_at(self) -> int | None:
-        """The tick at which it was lost for good; None: it holds at the end, or never held."""
+        """The tick at which it was lost and not regained; None: it holds at the end, or never held."""
         if self.holds[-1] or not self.holds.any():
             return None
         return int(np.flatnonzero(self.holds)[-1]) + 1
@@ -156,7 +156,7 @@ def what_happened(
 
 
 def explain_steps(words: Sequence[str], done_at: Sequence[int | None], number: int, rest: str) -> str:
-    """Return how far an episode of a longer task came, and what stopped it.
+    """Return which steps of a longer task were done, and why the next one failed.
 
     Args:
         words: Sentence of each step.

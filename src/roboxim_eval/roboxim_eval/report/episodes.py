@@ -1,4 +1,4 @@
-"""The episodes behind a page's numbers: one row each, which the page's script filters, lists and explains."""
+"""The episodes behind a page's numbers: one row each, for the page's script, which filters and lists them."""
 
 from __future__ import annotations
 

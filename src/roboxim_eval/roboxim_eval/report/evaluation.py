@@ -52,7 +52,7 @@ MEASURE_NAMES = {
     "smoothness": "smoothness (log dimensionless jerk)", "distractors_touched": "distractors touched",
     "keep_out_s": "time in a keep-out volume",
 }  # fmt: skip
-"""Measure beside success to its name for people."""
+"""Measure other than success to its name in reports."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

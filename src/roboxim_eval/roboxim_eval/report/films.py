@@ -1,6 +1,6 @@
 """Films for a page that opens offline: one picture with the frames below one another, which a script shows in turn.
 
-A browser decodes such a strip once, so that a film pauses and scrubs without any codec, in a page without other files.
+A browser decodes such a strip once, so a film can be paused and scrubbed without a video codec or other files.
 """
 
 from __future__ import annotations

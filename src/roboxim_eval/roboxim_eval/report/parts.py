@@ -86,8 +86,8 @@ def film_groups(
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Return the films by scene, side by side for each scene: the first of each pattern of outcomes, then the second.
 
-    So a failure that happened once is not behind many scenes that look alike. Of each round, scenes in which outcomes
-    differ come first, then those that nobody solved.
+    So a rare failure is not listed after many similar scenes. In each round, scenes with different outcomes come first,
+    then unsolved ones.
 
     Args:
         episodes: All episodes of the page.
@@ -132,7 +132,7 @@ def breakdowns(
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Return the success of each arm by each recorded factor and by instruction; arms are never pooled.
 
-    Factors that divide the episodes in the same way are one table. The p value of a factor is that of the permutation
+    Factors that divide the episodes in the same way share a table. The p value of a factor is that of the permutation
     test within arm, training and cell; none if the factor belongs to the design.
 
     Args:

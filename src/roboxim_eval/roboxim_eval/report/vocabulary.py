@@ -1,4 +1,4 @@
-"""Names that other generalisation suites have for the variations of an experiment.
+"""Names of an experiment's variations in other generalisation suites.
 
 Names are those of the Colosseum's 14 perturbation factors (Pumacay et al. 2024), of the axes of STAR-Gen's taxonomy
 (Gao et al. 2025) and of LIBERO-plus' 7 dimensions (Fei et al. 2025). They are matched by the keys of a task that a

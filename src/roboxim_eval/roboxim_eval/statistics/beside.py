@@ -1,4 +1,4 @@
-"""Measures beside success of a policy's episodes: their middle and range, and how many crossed a limit."""
+"""Measures other than success of a policy's episodes: median and range, and how many episodes crossed a limit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Spread:
 
 @dataclass(frozen=True, kw_only=True)
 class Beside:
-    """What was measured beside success."""
+    """Measures other than success."""
 
     episodes: int
     """Episodes in which it was measured."""
@@ -43,7 +43,7 @@ class Beside:
 
 
 def beside_success(results: Sequence[EpisodeResult]) -> Beside | None:
-    """Return the measures beside success, over all episodes; None: no task has ``limits``.
+    """Return the measures other than success, over all episodes; None: no task has ``limits``.
 
     A policy that does nothing has a short and smooth path: compare policies of similar success rates.
     """

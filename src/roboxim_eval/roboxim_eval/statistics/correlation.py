@@ -7,10 +7,10 @@ Two measures: Pearson's correlation of the success rates, and the mean maximum r
 
 MMRV is 0 if both rank the policies alike. A wrong order of two policies counts by their difference in reality.
 
-Measured rates scatter around true ones. Scatter lowers a correlation and raises MMRV, and a bootstrap adds it once
-more: where the true rates agree perfectly, its intervals nearly never contain the truth. Intervals here are therefore
-those of a model. The log-odds of both true rates of a policy are drawn from a bivariate normal distribution; counts
-give each with a known error. The posterior is computed on a grid. It has two answers:
+Measured rates scatter around true ones. Scatter lowers a correlation and raises MMRV, and a bootstrap adds the scatter
+again: if the true rates agree perfectly, its intervals almost never contain the truth. Intervals here therefore come
+from a model. The log-odds of both true rates of a policy are drawn from a bivariate normal distribution; counts give
+each with a known error. The posterior is computed on a grid. It has two answers:
 
 - **these policies**: agreement of the true rates of the policies of the table. Its uncertainty is that of the rollouts.
 - **policies of this kind**: correlation of the distribution that the policies are a sample of. Its uncertainty is also

@@ -7,7 +7,7 @@ condition without words (``blind``), and u_seen, s_seen the rates in cells that 
 | --- | --- | --- |
 | absolute | u | a good ratio of two bad policies; it ranks models |
 | gap | s - u | the blow-up of a ratio; the primary test |
-| relative | u / s | nothing by itself, so it never stands alone; refused if the baseline is too weak |
+| relative | u / s | nothing by itself, so it is never reported alone; refused if the baseline is too weak |
 | words | u - b | a policy that ignores the instruction |
 | substitution | see below | memorised pairs |
 | competence | u_seen - s_seen | different numbers of demonstrations a cell; a weakened baseline |
@@ -86,7 +86,7 @@ def relative_score(unseen: Arm, baseline: Arm, blind: Arm | None = None, *, refu
     """Return u / s, or refuse it.
 
     It is refused if the lower bound of s is below ``refuse_below``, or if s is not above b: a baseline that fails, or
-    is no better than a policy without words, is not a measure of knowledge.
+    is no better than a policy without words, is no reference.
 
     Args:
         unseen: The leave-out condition in held-out cells.

@@ -44,7 +44,7 @@ def step_share(results: Sequence[EpisodeResult]) -> StepShare | None:
     """Return the partial credit of results; None: no task has several steps.
 
     The interval is the percentile bootstrap's over episodes, with a fixed seed. If all episodes have the same share it
-    is as wide as that of a rate: an interval without width would say that nothing is left to chance.
+    is as wide as that of a rate: an interval of width 0 would claim certainty.
 
     Source:
         Efron and Tibshirani, An Introduction to the Bootstrap (1993), chapter 13.

@@ -38,7 +38,7 @@ class Count:
 
 @dataclass(frozen=True, kw_only=True)
 class Arm:
-    """Outcomes of a condition: each replicate is a training of its own, or one checkpoint in other words."""
+    """Outcomes of a condition: each replicate is a separate training, or one checkpoint with other instructions."""
 
     replicates: tuple[Mapping[str, Count], ...]
     """For each training: cell to its count."""

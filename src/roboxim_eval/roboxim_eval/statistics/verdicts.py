@@ -5,8 +5,8 @@ one-sided tests of a difference within the margin is at most alpha. ``cannot_tel
 what is compatible with the data, and how many more trainings would decide the margin. An absence of evidence is never
 called "no difference".
 
-Where several comparisons are made, callers adjust both kinds of p values: that any "lower" or "higher" is false has a
-probability of at most alpha, and so has it that any "as good" is.
+For several comparisons, callers adjust both kinds of p values. Then the probability of any false "lower" or "higher" is
+at most alpha, and so is that of any false "as good".
 """
 
 from __future__ import annotations

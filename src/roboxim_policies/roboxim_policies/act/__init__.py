@@ -1,1 +1,1 @@
-"""Action chunking with transformers (ACT) on a pre-trained encoder: each action of a chunk asks the tokens itself."""
+"""Action chunking with transformers (ACT) on a pre-trained encoder: each action of a chunk is a query."""

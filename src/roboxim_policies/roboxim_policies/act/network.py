@@ -1,7 +1,7 @@
 """The network of act.
 
-The tokens of the present observation pass a transformer. Then each action of the chunk is a query of its own: it
-attends to the tokens and becomes that action. Without a latent variable (no CVAE): the expert's demonstrations are of
+The tokens of the present observation pass a transformer. Then one query for each action of the chunk attends to the
+tokens, and its output is that action. There is no latent variable (no CVAE), because the expert's demonstrations have
 one style.
 
 Source: Zhao et al., "Learning Fine-Grained Bimanual Manipulation with Low-Cost Hardware", 2023.

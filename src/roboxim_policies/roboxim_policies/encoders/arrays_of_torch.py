@@ -1,7 +1,7 @@
 """Reads the arrays of a PyTorch checkpoint of the old format (before torch 1.6) without PyTorch.
 
-Such a file is a series of pickles, and a pickle may name any function to call. This reader knows the five names that a
-dictionary of tensors needs and refuses every other one before it is called. It makes NumPy arrays only.
+Such a file is a series of pickles, which may call any function. This reader accepts only the five names that a
+dictionary of tensors needs, and refuses all others before they are called. It creates only NumPy arrays.
 
 Source: ``torch.serialization._legacy_save`` of PyTorch 2.0.
 """

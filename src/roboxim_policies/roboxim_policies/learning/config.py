@@ -82,7 +82,7 @@ class LearningConfig:
 
     @property
     def frames(self) -> int:
-        """Observations that a prediction is made from, the present one included."""
+        """Number of observations that a prediction uses, the present one included."""
         return 1
 
     @property

@@ -102,7 +102,7 @@ class Demonstrations:
     robot: str = ""
     """Id of the robot model of the demonstrations, or of several (`BETWEEN_ROBOTS`); empty: unknown."""
     camera_views: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Camera to the files of ``config/cameras`` from whose places it saw; a camera that is missing: unknown."""
+    """Camera to the files of ``config/cameras`` that define its viewpoints; a camera that is missing: unknown."""
 
     def __len__(self) -> int:
         """Count the steps."""

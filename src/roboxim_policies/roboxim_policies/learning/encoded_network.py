@@ -31,7 +31,7 @@ class Perceived(eqx.Module):
     tokens: Array
     """Tokens of all cameras, of the state and of the words, shape (B, n, token_size)."""
     points: Array
-    """What the tokens of the cameras say, as one vector, shape (B, m)."""
+    """Pooled features of the cameras' tokens, shape (B, m)."""
     common: Array
     """State, heading and words as one vector, shape (B, k)."""
     camera_targets: list[Array]

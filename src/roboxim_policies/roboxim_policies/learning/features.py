@@ -1,6 +1,6 @@
 """Inputs of the network that are no images: words, proprioception, and the memory of the grasp.
 
-A single observation does not say how far a held object was turned, how high it was lifted, or that it was put down
+A single observation does not show how far a held object was turned, how high it was lifted, or whether it was put down
 already. `GraspMemory` therefore keeps the robot's own measurements at the policy's last command to close the gripper.
 Training computes the same features for every step of a demonstration (`grasps_of`, `state_features`). What counts as a
 grasp is stated once, in `GraspRule`.
@@ -25,8 +25,8 @@ MEMORY_SIZE = 11
 STATE_SIZE = PROPRIO_SIZE + MEMORY_SIZE
 """Number of state features that the network receives."""
 RETRY_M = 0.08
-"""Height that the tool gains after the gripper closed on nothing, before the policy tries again [m]. From there the
-object is in view, as it is when the demonstrations approach it."""
+"""Height that the tool gains after the gripper closed on nothing, before the policy tries again [m]. At this height the
+object is in view, as in the approach of the demonstrations."""
 NONE = -1
 """Index of a step that does not exist."""
 

@@ -1,4 +1,4 @@
-"""Learned points of a picture: where something that the instruction names is seen, and what is seen there."""
+"""Learned points of a picture: image coordinates of what the instruction names, and the features there."""
 
 from __future__ import annotations
 

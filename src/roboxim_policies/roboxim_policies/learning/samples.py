@@ -33,7 +33,7 @@ RISE_M = 0.01
 
 
 class Wanted(eqx.Module):
-    """What the network should output, for B samples."""
+    """Targets of the network's outputs, for B samples."""
 
     motion: Array
     """Normalised translations and rotations, shape (B, chunk, 6)."""

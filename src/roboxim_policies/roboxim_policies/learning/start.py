@@ -1,7 +1,7 @@
-"""Where a training begins: with weights that are drawn, or with those of a checkpoint (fine-tuning).
+"""Initial weights of a training: random, or those of a checkpoint (fine-tuning).
 
-Weights mean something only with the normalisation that they were trained with, so a fine-tuning keeps it. A family that
-learns an embedding for each word keeps those of the words that both datasets have.
+Weights are valid only with the normalisation that they were trained with, so fine-tuning keeps it. A family that learns
+an embedding for each word keeps those of the words that both datasets have.
 """
 
 from __future__ import annotations

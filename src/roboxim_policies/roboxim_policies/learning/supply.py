@@ -1,4 +1,4 @@
-"""What a training step is given: which samples, their augmentation, their features, and how they are worded.
+"""Inputs of a training step: samples, augmentation, features and wordings.
 
 Everything random is a function of seed and step, and is drawn on the host.
 """
@@ -72,7 +72,7 @@ class Supply:
         return Samples.of(self._data, stats, self._config, self._sentences)
 
     def batch(self, step: int) -> tuple[Array, dict[str, Any]]:
-        """Return the indices of a step's samples, and what is drawn for them."""
+        """Return the indices of a step's samples and their random draws."""
         last = self._shuffled(step)
         indices, present = self._windows(last)
         draws: dict[str, Any] = augmentation(self._config, self._cameras, step, len(indices))

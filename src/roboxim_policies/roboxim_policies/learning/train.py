@@ -156,7 +156,7 @@ class Trainer:
 
     @property
     def chosen(self) -> Chosen | None:
-        """The weights that held-out demonstrations have chosen so far."""
+        """The best weights so far by their loss on held-out demonstrations."""
         return self._at[2]
 
     @property

@@ -1,4 +1,4 @@
-"""Errors of a network on demonstrations that it was not trained on, in units that a user knows."""
+"""Errors of a network on held-out demonstrations, in physical units."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class HeldOut:
 
 
 def _undisturbed(supply: Supply, cameras: tuple[str, ...], part: Any) -> tuple[jax.Array, dict[str, Any]]:
-    """Return samples without augmentation, each with what a policy would have seen before it."""
+    """Return samples without augmentation, each with the history that a policy would have seen."""
     batch, present = supply.windows_before(part)
     still: dict[str, Any] = {f"{camera}/gain": jnp.ones((len(batch), 1, 1, 1)) for camera in cameras}
     still |= {f"{camera}/kept": jnp.ones((len(batch), 1, 1, 1)) for camera in cameras}

@@ -1,7 +1,7 @@
 """The network of rt1s.
 
-Tokens of each observation pass a transformer in which an observation attends to itself and to those before it. A token
-that asks for the action is read, and heads like those of ``bc`` turn it into a chunk of actions.
+The tokens of each observation pass a transformer in which an observation attends to itself and to earlier ones. Heads
+like those of ``bc`` decode the output of a query token into a chunk of actions.
 
 Differences from RT-1: the encoder is frozen and smaller, so that the features of a picture are computed once; FiLM
 modulates a layer after it; the state of the robot is an input; actions are continuous and come in chunks.
@@ -77,7 +77,7 @@ class Network(eqx.Module):
         )  # fmt: skip
 
     def _through_time(self, tokens: Array, present: Array | None) -> Array:
-        """Return the token that asks, of each observation, after it has attended to its window's past."""
+        """Return each observation's query token after it has attended to its window's past."""
         each, size, frames = tokens.shape[1], tokens.shape[2], self.frames
         x = (tokens.reshape(-1, frames, each, size) + self.ages).reshape(-1, frames * each, size)
         frame = jnp.repeat(jnp.arange(frames), each)

@@ -1,7 +1,7 @@
 """Servers of RoboXim's policies on the wires of other benchmarks: ``roboxim policy serve bc --wire openpi``.
 
-A server has a convention: its requests and answers mean what the convention says. By default it is the policy's own
-(`own_convention`), which the metadata declare, so that ``--option convention=server`` suffices on RoboXim's side.
+A server has a convention, which defines the meaning of its requests and answers. The default is the policy's own
+(`own_convention`). The metadata declare it, so ``--option convention=server`` suffices on RoboXim's side.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Answers requests of several simulators together, where the policy can.
+"""Answers requests of several simulators in batches, if the policy supports it.
 
-Simulators that wait for answers ask at nearly the same time. A model answers several requests in little more time than
-one, so the requests that wait while it computes become its next batch.
+Waiting simulators send their requests at nearly the same time. A model answers several requests in little more time
+than one, so the requests that arrive while it computes form its next batch.
 """
 
 from __future__ import annotations

@@ -140,7 +140,7 @@ class OpenVlaServer(PolicyServer):
 
     @contextmanager
     def _client(self, name: str) -> Iterator[_Client]:
-        """Yield a client's session, alone; those that asked longest ago are forgotten when there are too many."""
+        """Yield a client's session, alone; the least recently used ones are dropped when there are too many."""
         with self._lock:
             if name not in self._clients:
                 while len(self._clients) >= MAX_SESSIONS:

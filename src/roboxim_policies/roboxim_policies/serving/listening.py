@@ -1,7 +1,7 @@
 """A listening socket that decides who may connect.
 
-Servers of `websockets` and `http.server` start a thread for each connection before it has sent a byte. Ten thousand
-connections that stay silent would be ten thousand threads. Connections beyond the bound are closed at once.
+Servers of `websockets` and `http.server` start a thread for each connection before it has sent a byte, so ten thousand
+silent connections would be ten thousand threads. Connections beyond the bound are closed at once.
 
 Clients of openpi, OpenVLA and vla-eval know no token. A server that listens to this machine alone therefore asks the
 kernel which user has the other end of a connection, and refuses other users.
@@ -24,7 +24,8 @@ from roboxim_ros.peer_user import user_of_peer
 MAX_CONNECTIONS = 320
 """Largest number of open connections of a server: more than its sessions, of which a shared policy has 256."""
 MAX_REFUSALS, REFUSING_S, RECEIVED_BYTES = 8, 2.0, 65536
-"""Clients that are told at once why they are refused, the time for each of its two messages, and their size."""
+"""Number of clients that receive the reason of their refusal at the same time, the time for each of its two messages,
+and their size."""
 REFUSAL = b"HTTP/1.1 403 Forbidden\r\nContent-Length: %d\r\nConnection: close\r\n\r\n%b" % (len(OTHERS), OTHERS)
 
 
@@ -101,7 +102,7 @@ class BoundedListener(socket.socket):
                 return accepted, address
 
     def _refuse(self, accepted: socket.socket) -> None:
-        """Say why, in a thread of a bounded number: a client that is refused before it has asked may not hear it."""
+        """Say why, in a thread of a bounded number: a client that is refused before its request may miss the answer."""
         if self._refusing.acquire(blocking=False):
             threading.Thread(target=self._say_why, args=(accepted,), name="refuse", daemon=True).start()
         else:
@@ -130,7 +131,7 @@ class BoundedListener(socket.socket):
 
 
 def _kernel_tells(log: Callable[[str], None]) -> bool:
-    """Whether this kernel tells who has the other end of a connection."""
+    """Whether this kernel reports the user at the other end of a connection."""
     with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()):
         try:
             with server.accept()[0] as accepted:
@@ -141,7 +142,7 @@ def _kernel_tells(log: Callable[[str], None]) -> bool:
 
 
 def _known_user(connection: socket.socket) -> int | None:
-    """Return the user at the other end; None where the kernel cannot tell now, so that no client ends `accept`."""
+    """Return the user at the other end; None if the kernel cannot report it now, so that no client ends `accept`."""
     try:
         return user_of_peer(connection)
     except OSError:  # e.g. no more file descriptors

@@ -3,8 +3,8 @@
 A policy keeps state during an episode, so each session has an instance of its own; instances are used again.
 
 Some wires carry one action in each answer, and their clients ask at every tick (vla-eval's, OpenVLA's). A session on
-such a wire executes the policy's chunks itself, as the policy's `Chunking` says, so that the policy is asked as often
-as in the simulator's process.
+such a wire executes the policy's chunks itself, by the policy's `Chunking`, so the policy is called as often as in the
+simulator's process.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class Sessions:
 
         Raises:
             ConfigError: When the policy is privileged, needs cameras that the convention does not have, or has actions
-                that cannot be said in the convention.
+                that the convention cannot express.
         """
         first = GuardedPolicy(make())
         self.description = first.description
@@ -340,7 +340,7 @@ class Session:
         return ImageInput(camera=camera, key=camera, width=want.width, height=want.height).prepare(picture)
 
     def _proprioception(self, request: Mapping[str, Any]) -> list[Proprioception]:
-        """Return what the request's states say of the arm at each of its ticks."""
+        """Return the arm's state at each of the request's ticks."""
         convention, size = self._convention, self._convention.window
         found: list[dict[str, Any]] = [{} for _ in range(size)]
         for state in convention.states:

@@ -1,9 +1,9 @@
 """A policy that one process serves to the simulators of a run: `roboxim_policies.served` is the other side.
 
-It speaks openpi's wire, but has no convention: observations arrive as the policy would get them in the simulator's
-process, and actions leave as it gave them. So an evaluation's results do not depend on where its policy runs.
+It uses openpi's wire, but no convention: observations and actions are the same as in the simulator's process. So an
+evaluation's results do not depend on where its policy runs.
 
-Non-obvious: answers of a *batch* may differ from single ones in the last bits, because a model may add up numbers in
+Non-obvious: answers of a *batch* may differ from single ones in the last bits, because a model may sum numbers in
 another order. Only a policy that has ``act_batch`` is called in batches.
 """
 

@@ -1,8 +1,8 @@
 """Arrays of a foreign message, checked before memory is taken for them.
 
-A message comes from a server that nobody vouches for. Its data type must be a plain number, its shape must have few
-axes, and shape, data type and number of bytes must agree. Only then an array is made, as a view of the message's own
-bytes. Nothing is unpickled: object arrays, structured types and complex numbers are refused.
+A message comes from an untrusted server. Its data type must be a plain number, its shape must have few axes, and shape,
+data type and number of bytes must agree. Only then an array is made, as a view of the message's own bytes. Nothing is
+unpickled: object arrays, structured types and complex numbers are refused.
 """
 
 from __future__ import annotations

@@ -117,7 +117,7 @@ class Wire(ABC):
             deadline: Deadline; None: ``timeout_s`` from now.
 
         Raises:
-            PolicyError: ``POLICY_DIED`` when nobody listens or nobody answers before the deadline, ``POLICY_FAULT``
+            PolicyError: ``POLICY_DIED`` when there is no server, or no answer before the deadline, ``POLICY_FAULT``
                 when the server breaks the protocol or announces other metadata than before.
         """
         if self._is_open and self._alive() and self._metadata is not None:
@@ -182,7 +182,7 @@ class Wire(ABC):
                     self._is_open = True
                     return metadata
             except PolicyError as error:
-                if error.code == ErrorCode.POLICY_LATE:  # a machine that is switched off refuses nothing
+                if error.code == ErrorCode.POLICY_LATE:  # a machine that is switched off sends no refusal
                     raise died(f"{self.server} cannot be reached: {error}") from None
                 if error.code != ErrorCode.POLICY_DIED or waited + pause > patience_s:
                     raise
@@ -293,7 +293,7 @@ REFUSED = {
 
 @WIRES.conformance
 def is_a_wire_with_typed_arguments(name: str, item: type[Wire]) -> None:
-    """Refuse a wire that is no complete subclass, or whose arguments do not say their types."""
+    """Refuse a wire that is not a complete subclass, or whose arguments lack type annotations."""
     import inspect
 
     assert isinstance(item, type), "it is not a class; derive one from Wire"
@@ -308,7 +308,7 @@ def is_a_wire_with_typed_arguments(name: str, item: type[Wire]) -> None:
 
 @WIRES.conformance
 def a_refused_port_ends_as_policy_died(name: str, item: type[Wire]) -> None:
-    """Refuse a wire that does not report a port on which nobody listens, or that keeps a thread."""
+    """Refuse a wire that does not report a closed port, or that keeps a thread."""
     import socket
 
     with socket.socket() as taken:  # bound, but not listening: connections are refused

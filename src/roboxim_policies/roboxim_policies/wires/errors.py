@@ -15,7 +15,7 @@ GATEWAY = (502, 503, 504)
 
 
 def died(message: str) -> PolicyError:
-    """Return the error of a server that is not there, or no longer: ``policy_died``."""
+    """Return the error of a server that is missing or was lost: ``policy_died``."""
     return PolicyError(message, ErrorCode.POLICY_DIED)
 
 
@@ -44,7 +44,7 @@ REDIRECTS = (300, 301, 302, 303, 307, 308)
 
 
 def redirected(server: str, status: int, location: Any) -> PolicyError:
-    """Return the error of a server that sends its client elsewhere. No wire follows: it would tell others what it sees.
+    """Return the error of a server that redirects its client. No wire follows: it would tell others what it sees.
 
     Args:
         server: Name of the server, for the message.
@@ -67,7 +67,7 @@ def quoted(text: Any) -> str:
 
 
 class Deadline:
-    """A point in time until which one operation may take, whatever number of steps it has."""
+    """A point in time by which one operation must end, regardless of its number of steps."""
 
     def __init__(self, seconds: float) -> None:
         """Start the time.

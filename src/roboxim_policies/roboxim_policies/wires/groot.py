@@ -1,7 +1,7 @@
 """The wire of Isaac-GR00T, N1.5 (from August 2025) to N1.7: ZeroMQ, one request and one reply at a time.
 
-The servers of these versions have three serialisers. ``get_modality_config``, whose reply has no arrays, tells which
-one a server has:
+The servers of these versions have three serialisers. The reply to ``get_modality_config``, which has no arrays, shows
+which one a server has:
 
 | server | marker of a configuration | its ``as_json`` | arrays | call |
 | --- | --- | --- | --- | --- |
@@ -175,8 +175,8 @@ class GrootWire(Wire):
             timeout_s: Deadline of each operation [s].
             reconnect_s: Time in which a refused connection is tried again [s].
             key_env: Environment variable with the key, sent as ``api_token``.
-            sim_policy_wrapper: Whether the server (N1.6 or later) runs with ``--use-sim-policy-wrapper``. It need not
-                be said: a server that asks for flat keys gets them.
+            sim_policy_wrapper: Whether the server (N1.6 or later) runs with ``--use-sim-policy-wrapper``. It is
+                optional: a server that asks for flat keys gets them.
 
         Raises:
             ConfigError: On a wrong argument.

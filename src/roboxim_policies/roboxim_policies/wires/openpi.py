@@ -1,7 +1,7 @@
 """The wire of openpi, the de facto standard, and of two servers that share its encoding: RoboArena and StarVLA.
 
-The server speaks first: one MessagePack map, its metadata. Then each request has one reply. An error is a text message
-with a traceback. The three dialects differ in the envelope; the metadata tell which one it is:
+The server sends the first message: a MessagePack map, its metadata. Then each request has one reply. An error is a text
+message with a traceback. The three dialects differ in the envelope; the metadata show which one a server uses:
 
 - **openpi**: the request itself; ``{"actions": (n, D)}``. No episodes.
 - **roboarena**: the request with ``endpoint`` and ``session_id``; ``endpoint: reset`` is answered by a text. RoboXim's

@@ -2,9 +2,9 @@
 
 A request is the map itself, or ``{"encoded": "<that JSON>"}``, and then the reply is a JSON text of JSON. OpenVLA
 answers with an array, OFT with a list of arrays. **Every error of the model has HTTP status 200 and the body
-``"error"``**, a wrong ``unnorm_key`` included. There are no metadata, no sessions and no keys, so that nothing can be
-compared with what the server runs. RoboXim's own server (``roboxim policy serve --wire openvla``) declares itself under
-another path, which the genuine ones do not have.
+``"error"``**, a wrong ``unnorm_key`` included. There are no metadata, sessions or keys, so the server's model cannot be
+verified. RoboXim's own server (``roboxim policy serve --wire openvla``) declares itself under another path, which the
+genuine ones do not have.
 
 Source: openvla/openvla@c8f03f48af69, moojink/openvla-oft@213c5ff8d6e9, vla-scripts/deploy.py.
 """
@@ -110,8 +110,8 @@ declares nothing."""
 class OpenVlaWire(Wire):
     """A session with a server of OpenVLA or OpenVLA-OFT.
 
-    Each request is a connection of its own, so that another server may answer the next one: what the server declares
-    is asked again at each episode.
+    Each request is a connection of its own, so that another server may answer the next one: the server's declaration is
+    requested again at each episode.
     """
 
     schemes: ClassVar[tuple[str, ...]] = ("http", "https")

@@ -1,4 +1,4 @@
-"""MessagePack with bounds. How a wire writes arrays is given by the wire, as two functions."""
+"""MessagePack with bounds. Each wire supplies two functions that encode and decode its arrays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The parts of a request by kind, for wires that give pictures, numbers and texts places of their own."""
+"""The parts of a request by kind, for wires with separate fields for pictures, numbers and texts."""
 
 from __future__ import annotations
 

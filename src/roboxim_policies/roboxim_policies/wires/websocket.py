@@ -27,9 +27,9 @@ LEGACY: dict[str, Any] = {"legacy": True}
 class WebSocket:
     """A connection to a policy server.
 
-    It sends no keepalive pings: a server that computes an action answers none, and would be taken for dead. Messages
-    are not compressed, as the servers ask. A message whose header announces more than the bound is refused before its
-    data is read. Proxies are not used, and redirects are not followed.
+    It sends no keepalive pings: a server that computes an action does not answer them, and would be taken for dead.
+    Messages are not compressed, as the servers ask. A message whose header announces more than the bound is refused
+    before its data is read. Proxies are not used, and redirects are not followed.
     """
 
     def __init__(self, url: str, server: str, deadline: Deadline, headers: Mapping[str, str] | None = None) -> None:
@@ -42,14 +42,14 @@ class WebSocket:
             headers: Further headers of the handshake.
 
         Raises:
-            PolicyError: ``POLICY_DIED`` when nobody listens, ``POLICY_LATE`` after the deadline, ``POLICY_FAULT`` when
-                the server refuses the handshake.
+            PolicyError: ``POLICY_DIED`` when there is no server, ``POLICY_LATE`` after the deadline, ``POLICY_FAULT``
+                when the server refuses the handshake.
         """
         from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMessage, InvalidStatus, InvalidURI
         from websockets.sync.client import ClientConnection, connect
 
         class Direct(ClientConnection):
-            """A connection that follows no redirect, and hears a refusal that comes before its request has gone."""
+            """A connection that follows no redirect, and reads a refusal that arrives before its request is sent."""
 
             def handshake(self, *arguments: Any, **options: Any) -> None:
                 try:
@@ -143,7 +143,7 @@ class WebSocket:
             raise fault(f"{self._server} sent a text message that is not UTF-8") from None
 
     def require_silence(self) -> None:
-        """Refuse a message that nobody asked for: it would be taken for the next reply.
+        """Refuse an unrequested message: it would be taken for the next reply.
 
         Raises:
             PolicyError: ``POLICY_FAULT`` when a message waits.

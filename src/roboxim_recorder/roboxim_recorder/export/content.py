@@ -1,7 +1,7 @@
 """Content of an export's steps: images, observed vectors, actions and rate, from the options or a convention.
 
-Either way the content has a `Convention`, which is written beside the dataset as ``convention.yaml``: a policy that was
-trained on the dataset is evaluated by it.
+In both cases the content has a `Convention`, which is written beside the dataset as ``convention.yaml``: a policy that
+was trained on the dataset is evaluated by it.
 """
 
 from __future__ import annotations

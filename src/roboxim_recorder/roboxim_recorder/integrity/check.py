@@ -51,7 +51,7 @@ class BagReport:
     notes: tuple[str, ...] = ()
     """Changes by another program that wrote the bag again, which affect no reader; empty: the recorder wrote it."""
     foreign: bool = False
-    """Whether it is a bag of another system, which holds no episode."""
+    """Whether it is a bag of another system, without an episode."""
 
     @property
     def ok(self) -> bool:

@@ -46,7 +46,7 @@ class TickCheck:
 
     @property
     def filtered(self) -> tuple[str, ...]:
-        """Topics of the scene that the bag does not have at all, and that no export needs."""
+        """Topics of the scene that the bag lacks and that no export needs."""
         needed = {topics.NOTICE, topics.STATE, topics.STEP}
         return tuple(
             name

@@ -1,7 +1,8 @@
 """An actor that repeats an episode up to a tick and then hands over to another actor.
 
 The other actor starts in exactly the same state: the simulator is deterministic, so repeating the executed actions from
-the same scene restores everything, contacts and the solver's memory included. `roboxim_studio.acting.what_if` and `roboxim_runs.answers.comparing` use it.
+the same scene restores everything, contacts and the solver's memory included. `roboxim_studio.acting.what_if` and
+`roboxim_runs.answers.comparing` use it.
 """
 
 from __future__ import annotations

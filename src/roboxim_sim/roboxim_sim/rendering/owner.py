@@ -11,8 +11,8 @@ from roboxim_core.errors import ErrorCode, SimError
 class Owner:
     """Rejects calls from another thread, from a forked child process and after closing.
 
-    GL drivers answer such calls with the previous image or never. Renderers without GL follow the same rule, so that a
-    program that works with one renderer works with all.
+    GL drivers answer such calls with the previous image or never. Renderers without GL follow the same rule, so a
+    program works with every renderer.
     """
 
     def __init__(self) -> None:

@@ -151,7 +151,7 @@ class ResetComponent(ABC):
     Config: ClassVar[type] = NoConfig
     """Frozen dataclass of the configuration; every field has a default."""
     before: ClassVar[str] = ""
-    """Component before which it acts, wherever a task names it; empty: in the order of the task."""
+    """Component before which it acts, regardless of the order in the task; empty: in the order of the task."""
     places: ClassVar[bool] = False
     """Whether the component places objects: it is then drawn again when a constraint refuses the scene."""
 

@@ -70,8 +70,7 @@ class PhysicsResetConfig:
 class PhysicsReset(ResetComponent):
     """Draws the table's friction, and factors on mass and friction of each object.
 
-    Randomisation: the table and each object have separate random streams, so that one more distractor changes nothing
-    else.
+    Randomisation: the table and each object have separate random streams, so a further distractor changes nothing else.
 
     Non-obvious:
         - The factors become the entities' modifiers ``mass`` and ``friction``, so the scene's record holds them.

@@ -37,7 +37,7 @@ MAX_RECOVERIES = 2
 HELD_TOLERANCE_M = 0.003
 HELD_TOLERANCE_RAD = 0.035
 DONE_WAIT_S = 2.0
-"""Time at the end of a step after which a step that is not done yet is done again [s]."""
+"""Time at the end of a step after which the expert repeats an unfinished step [s]."""
 SAG_TOLERANCE_M, SAG_TOLERANCE_RAD = 0.010, 0.06
 """Largest shift [m] and rotation [rad] of a lifted object in the hand that need no replanning."""
 
@@ -46,7 +46,7 @@ class Expert:
     """A privileged policy that solves any registered skill. One episode at a time; not thread-safe.
 
     Non-obvious: the motion is chosen in the first `act`, because only then is the settled state known. If that is not
-    at tick 0, another actor has acted so far, and the expert goes on from there, with what the gripper holds.
+    at tick 0, another actor has acted so far, and the expert continues from there, with the object in the gripper.
     """
 
     def __init__(
@@ -217,7 +217,7 @@ class Expert:
 
 
 def _taken_over(view: ExpertScene) -> ExpertScene:
-    """Return a scene that another actor has brought about, with what the gripper holds in it."""
+    """Return the scene that another actor has left, with the object in the gripper."""
     for entity in view.state.entities:
         pressing = {
             contact.link_b if contact.body_a == entity.name else contact.link_a

@@ -48,7 +48,7 @@ class Solvability:
         """Return the motion that solves a scene, with every object where it was drawn.
 
         Of a task of several steps it is the first step's; the others are planned too, each from the predicted end of
-        the one before, so that a scene whose later steps cannot be solved is refused.
+        the previous one, so a scene with an unsolvable later step is refused.
 
         Args:
             task: The task; the record of what was drawn is ignored.

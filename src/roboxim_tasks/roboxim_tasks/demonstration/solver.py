@@ -325,8 +325,8 @@ def _around(view: ExpertScene, stage: Stage) -> Surroundings:
 def _with_clearance(view: ExpertScene, around: Surroundings, clearance_m: float) -> Surroundings | None:
     """Return surroundings in which everything keeps clear of distractors, and the arm of all objects.
 
-    The hand and the held object may come close to the objects of the task. Return none where there is nothing that a
-    small deviation of the arm would disturb, and after a failed try, when the gripper may be next to a distractor.
+    The hand and the held object may come close to the objects of the task. Return none if a small deviation of the arm
+    would disturb nothing, and after a failed try, when the gripper may be next to a distractor.
     """
     distractors = {thing.entity for thing in task_distractors(view.task)}
     if view.recovering or not (distractors or any(entity.fixed for entity in view.scene.entities)):

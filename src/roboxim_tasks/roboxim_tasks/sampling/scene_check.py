@@ -1,4 +1,4 @@
-"""Which constraints a given scene violates: the same ones that refuse a drawn scene, each by name, all of them."""
+"""Which constraints a given scene violates: the same constraints that refuse a drawn scene, all reported by name."""
 
 from __future__ import annotations
 

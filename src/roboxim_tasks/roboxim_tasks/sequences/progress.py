@@ -1,11 +1,11 @@
-"""How far a sequence is: the fold of state records that judges step by step.
+"""How far a sequence is: judges the state records step by step.
 
 - A step is judged by its own skill's evaluator, which begins when the step's turn begins. With the order ``any`` it is
   the turn of every step that is not done; with ``fixed``, of the first one.
 - A step is done once its evaluator has held for its ``hold_s``. In a fixed order it must have been unsolved at some
   tick of its turn, so that a later step done before its turn does not count.
 - A step that is done must hold at the end, unless a later step moves its objects on (`superseded`).
-- The whole is solved while all steps are done and hold.
+- The sequence is solved while all steps are done and hold.
 
 Non-obvious: a step's evaluator compares with tick 0 what no earlier step has handled, and with the start of its turn
 what one has. So a lifted object counts as lifted even if the step before was done a tick late.

@@ -45,7 +45,7 @@ class _AllRoles(Role):
 
 
 class Sequence(Skill):
-    """A skill made of steps, each a registered skill whose roles are filled by roles of the whole."""
+    """A skill made of steps, each a registered skill whose roles are filled by roles of the sequence."""
 
     Parameters = SequenceParameters
 
@@ -112,7 +112,7 @@ class Sequence(Skill):
     def constraints(self, context: ResetContext) -> Many[Constraint]:
         """Return the constraints of the first step, and those of later ones whose objects are untouched until then.
 
-        What later steps demand of what earlier ones leave is checked by planning all of them.
+        The other demands of later steps are checked by planning all steps.
         """
         found: dict[str, Constraint] = {}
         touched: set[str] = set()
@@ -146,7 +146,7 @@ class Sequence(Skill):
         return replace(context, config=config, roles=skill.roles, mismatch=skill.mismatch)
 
     def _instruction(self, template: str, contexts: Many[GenerationContext]) -> str:
-        """Return a template in which each step stands with its own template, in roles of the whole."""
+        """Return a template that contains each step's own template, with roles of the sequence."""
         steps = {}
         for number, (step, context) in enumerate(zip(self.steps, contexts, strict=True), start=1):
             parts = (

@@ -1,4 +1,4 @@
-"""The steps of a task, each a task of one skill, as the arguments of the whole.
+"""The steps of a task, each a task of one skill, as arguments of the sequence.
 
 A task of several steps is a plain `TaskSpec`: its ``arguments`` hold ``order`` and, for step k from 1 on,
 ``step_<k>.skill``, ``step_<k>.roles`` (``target=fruit container=cabinet``: role of the skill to role of the task),
@@ -25,7 +25,7 @@ MAX_STEPS = 5
 ORDERS = ("fixed", "any")
 ORDER = "order"
 ALSO = "also_"
-"""Prefix of the roles of objects that other steps name: a step must not take them for objects nobody named."""
+"""Prefix of the roles of objects that other steps name: a step must not treat them as unnamed objects."""
 _OWN = ("skill", "roles", "instruction")
 
 

@@ -8,7 +8,7 @@ robot does not touch the cabinet, for ``hold_s``.
 
 Non-obvious:
     - The closed fingers push the handle's bar. A drawer runs in rails, so one point of contact suffices.
-    - The fingers go 2 mm farther than the drawer, because its friction would hold it wherever the push ends.
+    - The fingers go 2 mm farther than the drawer, because friction would stop it where the push ends.
     - What lies in the drawer moves with it.
     - The fingers dwell there, because the reference rounds corners where it does not stop.
 """

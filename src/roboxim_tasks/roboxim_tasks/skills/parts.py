@@ -41,7 +41,7 @@ FINGER_M = 0.022
 """Distance from the middle of the bar to the tool centre point when the leaning fingertips touch the bar [m]."""
 STANDOFF_M = 0.015
 PRESS_M = 0.002
-"""Way that fingers push beyond the part's goal, because its friction would hold it wherever the push ends [m]."""
+"""Distance that fingers push beyond the part's goal, because friction would stop it where the push ends [m]."""
 DWELL_S = 0.2
 BEHIND_THE_MIDDLE: Mapping[str, Any] = {
     "area": {"lower": [0.66, -0.22], "upper": [0.78, 0.22]},

@@ -66,7 +66,7 @@ def other_switch(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
 @cheat("flip_switch", reason="opened_other", change=OTHER_SWITCH)
 def both_switches(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Flip the other switch first, and then the one that was asked for."""
+    """Flip the other switch first, and then the named one."""
     for script in pushes(scene, "distractor_1"):
         for stages in own_stages(scene):
             yield script.stages + stages

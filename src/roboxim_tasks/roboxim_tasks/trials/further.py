@@ -1,4 +1,4 @@
-"""Trials of drawers, buttons and pushes that a person would judge from what is seen at the end."""
+"""Trials of drawers, buttons and pushes that a person would judge by the final scene."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from roboxim_tasks.trials.push_object import along, full_way, push, starts
 
 @cheat("open_drawer", reason="moved_other_drawer", change={"arguments": {"drawer": {"values": ["top"]}}})
 def two_drawers(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Open a lower drawer first, and then the top one, which was asked for."""
+    """Open a lower drawer first, and then the named top one."""
     for other in reversed(DRAWERS[1:]):
         first = moving(scene, other)
         for opened in first.moved(0.08):
@@ -35,7 +35,7 @@ def two_drawers(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
 @cheat("push_button", reason="pressed_other_button", change=OTHER_BUTTON)
 def both_buttons(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Press the other button first, and then the one that was asked for."""
+    """Press the other button first, and then the named one."""
     face = button_face(scene.model_of(OTHER), scene.pose_of(OTHER))
     for yaw in YAWS:
         pressed = pressed_pose(face, yaw)

@@ -108,7 +108,7 @@ def each_way(
     over: Iterable[Any] = (),
     lift_m: float = LIFT_M,
 ) -> Callable[[Callable[..., object]], Stages]:
-    """Return a decorator that makes a trial of what is done with the target in the hand.
+    """Return a decorator that makes a trial from an action with the target in the hand.
 
     The decorated function adds to a script that has picked up the target. It gets the script, the target's goal pose
     and, with ``over``, one of the variants.

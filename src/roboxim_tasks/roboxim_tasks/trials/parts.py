@@ -298,7 +298,7 @@ def other_knob(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
 @cheat("turn_knob", reason="opened_other", change=OTHER_KNOB)
 def both_knobs(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
-    """Turn the other knob first, and then the one that was asked for."""
+    """Turn the other knob first, and then the named one."""
     for first in moving(scene, entity="distractor_1").moved(0.5):
         for stages in own_stages(scene):
             yield first + stages

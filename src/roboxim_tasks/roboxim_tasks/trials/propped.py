@@ -1,4 +1,4 @@
-"""Trials in which the target stands, lies or leans on what it should not, or as it should not."""
+"""Trials in which the target stands, lies or leans on the wrong object, or in the wrong way."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Run a failed episode again with one thing changed, and name what it failed by."""
+"""Run a failed episode again with one thing changed, and name the cause of its failure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from roboxim_cli.commands.answers._policies import policy_options
 @policy_options
 @click.option("--repeats", default=5, show_default=True, help="Runs of each change, at least 3.")
 @click.option("--change", "only", multiple=True, metavar="NAME", help="Try only this change; may be repeated.")
-@click.option("--pairs/--no-pairs", default=True, show_default=True, help="Try two changes where no one is a cause.")
+@click.option(
+    "--pairs/--no-pairs", default=True, show_default=True, help="Try pairs of changes if no single one is a cause."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(
     place: Path, number: int | None, policy: str, checkpoints: tuple[str, ...], policy_options: tuple[str, ...],

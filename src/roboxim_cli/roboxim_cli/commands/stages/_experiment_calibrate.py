@@ -72,8 +72,8 @@ def command(
 def probed(name: str, config: ExperimentConfig, known: Rates | None, trainings: int) -> Rates:
     """Return rates of this machine for an experiment that include a number of trainings at a time.
 
-    What is not known is measured, for about a minute, and stored; so are the rates of this experiment if those that are
-    known are of another one. The probe's lines go to the error stream.
+    What is not known is measured, for about a minute, and stored; so are the rates of this experiment if only another
+    one's are known. The probe's lines go to the error stream.
 
     Args:
         name: Name of the experiment, or a path.

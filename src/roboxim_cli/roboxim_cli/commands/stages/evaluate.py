@@ -59,7 +59,7 @@ from roboxim_cli.options import episode_options, film_options
 )
 @click.option(
     "--real-time", is_flag=True,
-    help="Let simulated time go on while the policy thinks. Such an evaluation is not repeatable.",
+    help="Let simulated time pass while the policy computes. Such an evaluation is not repeatable.",
 )  # fmt: skip
 @click.option("--policy-timeout", default=120.0, show_default=True, help="Longest wait for an answer [s].")
 @click.option(

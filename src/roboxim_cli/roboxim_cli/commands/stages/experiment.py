@@ -1,4 +1,4 @@
-"""Plan, run, report and compare experiments: which way to train a policy is better, and how sure is that."""
+"""Plan, run, report and compare experiments: which training condition is better, and how certain is that."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @strict.group()
 def command() -> None:
-    """Plan, run, report and compare experiments: which way to train a policy is better, and how sure is that."""
+    """Plan, run, report and compare experiments: which training condition is better, and how certain is that."""
 
 
 @command.command("list")
@@ -167,10 +167,9 @@ def run(name: str, out: Path, shard: str, trained: Path | None, **options: Any) 
     Ctrl-C stops, and trainings save their checkpoints; the same command continues. A stage whose inputs have changed is
     refused by name. When all evaluations are there, OUT/card.json has the counts, scores and sentences.
 
-    \b
-    In scenes on which nobody could tune a policy:
-    roboxim experiment run skill_object --scale laptop --fresh --out runs/mine
-    roboxim experiment run skill_object --scale laptop --fresh --trained runs/so --out runs/so-fresh    # once more
+    \b In fresh scenes, on which no policy can have been tuned: roboxim experiment run skill_object --scale laptop
+    --fresh --out runs/mine roboxim experiment run skill_object --scale laptop --fresh --trained runs/so --out
+    runs/so-fresh    # once more
 
     \b
     On several machines, here two, each with a folder of its own:

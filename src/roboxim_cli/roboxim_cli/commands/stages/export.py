@@ -66,7 +66,7 @@ def is_given(context: click.Context, name: str) -> bool:
 
 
 OWN = ("cameras", "image_width", "image_height", "split", "only_successful", "rate_hz", "cell_counts")
-"""Fields of a selection that options set in another form, or that experiments alone set."""
+"""Fields of a selection that options set in another form, or that only experiments set."""
 
 
 def _common() -> list[click.Parameter]:

@@ -1,4 +1,4 @@
-"""Whether an episode moves as the others do that are told the same."""
+"""Whether an episode moves like the others with the same instruction."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
 from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Severity, Values
 
 FEWEST = 8
-"""Fewest episodes of a verb among which one can be told to be unlike."""
+"""Fewest episodes of a verb for which an unlike one can be found."""
 NEIGHBOURS = 5
 FARTHER = 1.6
 """Times the distance to its own verb's nearest episode that is usual."""

@@ -208,7 +208,7 @@ def _blocks(cells: Values) -> Values:
 
 
 def _which(camera: str, ticks: list[int], seen: Mapping[str, list[Values]], wanted: Mapping[str, list[Values]]) -> str:
-    """Return of which camera or tick the first images that differ are likeliest."""
+    """Return the camera or tick to which the first differing images most likely belong."""
     at = ticks[len(ticks) // 2]
     image = seen[camera][at]
     best, words = float(np.square(image - wanted[camera][at]).mean()) / 4, ""

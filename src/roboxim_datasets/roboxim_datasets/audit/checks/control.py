@@ -73,7 +73,7 @@ class InaccurateControl(AuditCheck):
 
 @AUDIT_CHECKS.register("idle")
 class Idle(AuditCheck):
-    """Ticks in which nothing is asked of the arm or the gripper."""
+    """Ticks without a command to the arm or the gripper."""
 
     title = "Ticks without motion"
     reason = "A policy that has learnt to stand still stands still for ever: its next observation is the same."

@@ -1,7 +1,7 @@
 """Whether actions, labels, joints and measured motion belong together: relations that hold in any dataset.
 
-None of these checks knows a fault by name. They compare what the same quantity is by two ways, and say where the two
-differ; which edit explains it best is said for the reader, and decides nothing.
+None of these checks knows a fault by name. They compare two measurements of the same quantity and report where these
+differ. The edit that explains the difference best is only a hint for the reader.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def _caught_up(limited: Flags) -> Flags:
 
 
 def _shortened(chain: Chain, weights: Values) -> Flags:
-    """Return in which steps the arm did not move much farther than it was asked to."""
+    """Return the steps in which the arm did not move much farther than commanded."""
     commanded = np.linalg.norm(predicted(chain.commanded, weights), axis=1)
     return np.asarray(np.linalg.norm(chain.measured, axis=1) <= 2 * commanded + 5 * chain.tolerance)
 

@@ -1,4 +1,4 @@
-"""Whether the task that is recorded beside an episode can be its own."""
+"""Whether an episode's recorded task can belong to it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MAX_SHARED = 0.25
 FEWEST = 4
 """Fewest other episodes of a run, or of a skill, by which an episode is judged."""
 APART = 1.6
-"""Times as far from a skill's episodes as the other one of a pair, from which an episode is the wrong one."""
+"""Ratio of the distances of a pair's two episodes to a skill's episodes from which the farther one is the wrong one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -109,7 +109,7 @@ def _is_delta(episode: AuditEpisode) -> bool:
 
 
 def _rotations(episode: AuditEpisode) -> list[_Rotations]:
-    """Return the rotations of an episode that can jump at all; 6D ones cannot."""
+    """Return the rotations of an episode that can jump; 6D ones cannot."""
     semantics, found = episode.episode.semantics, []
     if semantics is None:
         found += _unknown("action", episode.actions)

@@ -1,7 +1,7 @@
 """Faults composed at random from edit operators, which no check knows by name.
 
-An edit is an operator, a key and a range of ticks; a fault is one to three edits of one episode. They measure what an
-audit finds of faults that nobody has thought of.
+An edit is an operator, a key and a range of ticks; a fault is one to three edits of one episode. They measure how many
+unforeseen faults an audit finds.
 """
 
 from __future__ import annotations
@@ -244,7 +244,7 @@ def _take_steps(episode: EditableEpisode, donor: EditableEpisode, start: int, en
 
 
 def _commanded(episode: EditableEpisode, start: int, end: int) -> tuple[float, float]:
-    """Return the motion that the executed actions of some ticks sum up to."""
+    """Return the total motion of the executed actions of some ticks."""
     rows = episode.actions if episode.executed is None else episode.executed
     total = rows[start:end].sum(axis=0)
     return 1000 * float(np.linalg.norm(total[:3])), float(np.degrees(np.linalg.norm(total[3:6])))

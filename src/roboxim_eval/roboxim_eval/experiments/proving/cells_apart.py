@@ -1,8 +1,8 @@
 """Checks that distinguish the held-out cells of an experiment from the cells of a dataset.
 
-The proof of training data tests whether an episode belongs to a held-out cell, whatever cell it claims. It uses checks
-of the module `delivery` that no episode of the dataset's cells passes for the held-out cell, e.g. the light if cells
-differ in their light. If no check distinguishes them, the experiment is refused before it starts.
+The proof of training data tests whether an episode belongs to a held-out cell, regardless of the cell that it claims.
+It uses checks of the module `delivery` that no episode of the dataset's cells passes for the held-out cell, e.g. the
+light if cells differ in their light. If no check distinguishes them, the experiment is refused before it starts.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ EXACT = 1e-4
 
 
 def belongs_to(demand: Demand, shown: Shown, checks: Iterable[str] = OF_CELLS) -> bool:
-    """Return whether an episode belongs to a cell by its content, whatever cell it claims.
+    """Return whether an episode's content belongs to a cell, regardless of the cell that it claims.
 
     Measurements in its pictures and forces do not count: a fault of delivery does not move it to another cell.
 

@@ -1,9 +1,9 @@
-"""The properties of a scene that a condition's change of the task must not change.
+"""Checks that a condition's change of the task leaves the other properties of a scene unchanged.
 
 Every property of a scene has its own random stream. A condition that changes one property therefore has the same scenes
 as the unchanged conditions in all other properties. The exception is the placement of objects: it is drawn again if a
-constraint refuses it, and constraints depend on the cameras, the start and the room between the objects. A moved camera
-thus keeps the objects' places in most scenes, but not in one where a camera no longer sees the object.
+constraint refuses it, and constraints depend on the cameras, the start and the room between the objects. So a moved
+camera keeps the objects' places in most scenes, but not where a camera no longer sees the object.
 """
 
 from __future__ import annotations

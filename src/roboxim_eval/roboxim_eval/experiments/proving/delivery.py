@@ -2,7 +2,7 @@
 
 A cell's name in a bag is a claim. An episode belongs to its cell only if the states and pictures of tick 0 meet the
 demands of the cell's task, and if the policy received the instruction that the condition demands. A NaN is a fault:
-comparisons are written such that it fails them, e.g. ``not far <= CAMERA_M``. The values here are plain;
+comparisons are written so that NaN fails them, e.g. ``not far <= CAMERA_M``. The values here are plain;
 `roboxim_runs.experiments.delivery.demands` reads them from task configurations, `reader` beside it from bags.
 """
 
@@ -53,7 +53,7 @@ class Allowed:
     def excess(self, value: Value) -> float:
         """Return the distance of a value from the allowed ones, the maximum over the axes.
 
-        Infinity for another word, and for a NaN, so that no comparison lets it pass.
+        Infinity for another word, and for a NaN, so that it fails every comparison.
         """
         if self.values:
             return min(_apart(value, allowed) for allowed in self.values)

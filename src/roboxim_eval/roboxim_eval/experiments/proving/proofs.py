@@ -247,7 +247,7 @@ def _changed_faults(change: Change, shown: Shown, right: Shown, condition: str) 
 def _deviating(arms: Mapping[str, Shown]) -> dict[str, str]:
     """Return the conditions whose episode of a scene deviates from the majority, with the difference.
 
-    A condition that deviates in one part has no vote on the next ones. Without a majority, every voting condition
+    A condition that deviates in one part is not counted for the next parts. Without a majority, every voting condition
     deviates.
     """
     found: dict[str, str] = {}
