@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -152,6 +153,7 @@ def test_every_command_has_help(name):
         sub = command.get_command(click.Context(command), sub_name)
         assert sub.help, f"{name} {sub_name} has no help"
         assert "\\b" not in sub.help
+        assert not re.search("\b[^\n]", sub.help), f"{name} {sub_name}: an example stands in the line of its mark"
 
 
 def test_versions():

@@ -167,9 +167,10 @@ def run(name: str, out: Path, shard: str, trained: Path | None, **options: Any) 
     Ctrl-C stops, and trainings save their checkpoints; the same command continues. A stage whose inputs have changed is
     refused by name. When all evaluations are there, OUT/card.json has the counts, scores and sentences.
 
-    \b In fresh scenes, on which no policy can have been tuned: roboxim experiment run skill_object --scale laptop
-    --fresh --out runs/mine roboxim experiment run skill_object --scale laptop --fresh --trained runs/so --out
-    runs/so-fresh    # once more
+    \b
+    In fresh scenes, on which no policy can have been tuned:
+    roboxim experiment run skill_object --scale laptop --fresh --out runs/mine
+    roboxim experiment run skill_object --scale laptop --fresh --trained runs/so --out runs/so-fresh    # once more
 
     \b
     On several machines, here two, each with a folder of its own:
