@@ -107,8 +107,8 @@ def show(name: str) -> str:
 
 
 def _near(name: str, names: list[str]) -> str:
-    mine = [known for known in names if known.startswith(f"{name.split('/')[0]}/")]
-    return one_of(mine or _packages(names), name if mine else name.split("/")[0])
+    same_package = [known for known in names if known.startswith(f"{name.split('/')[0]}/")]
+    return one_of(same_package or _packages(names), name if same_package else name.split("/")[0])
 
 
 def message_from_plain(cls: Any, data: Any, *, where: str = "") -> Any:

@@ -298,7 +298,7 @@ def test_values_are_closed_and_canonical():
 )
 def test_a_mismatch_is_refused_by_field_and_says_whether_a_transform_exists(change, fields, advice):
     with pytest.raises(EvaluationError) as caught:
-        ActionSemantics(**change).require_compatible(ActionSemantics(), mine="a", theirs="b")
+        ActionSemantics(**change).require_compatible(ActionSemantics(), owner="a", other_owner="b")
     assert caught.value.code == ErrorCode.SEMANTICS_MISMATCH
     assert fields in str(caught.value)
     assert advice in str(caught.value)
@@ -308,8 +308,8 @@ def test_a_mismatch_is_refused_by_field_and_says_whether_a_transform_exists(chan
 
 
 def test_any_rate_fits_every_rate_and_limits_may_differ():
-    ActionSemantics(rate_hz=ANY_RATE).require_compatible(ActionSemantics(rate_hz=5.0), mine="a", theirs="b")
-    ActionSemantics(max_translation_m=0.01).require_compatible(ActionSemantics(), mine="a", theirs="b")
+    ActionSemantics(rate_hz=ANY_RATE).require_compatible(ActionSemantics(rate_hz=5.0), owner="a", other_owner="b")
+    ActionSemantics(max_translation_m=0.01).require_compatible(ActionSemantics(), owner="a", other_owner="b")
 
 
 def test_numbers_that_are_not_a_rotation_are_refused():

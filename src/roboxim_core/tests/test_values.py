@@ -164,9 +164,9 @@ def test_bad_actions_are_refused(bad):
 
 
 def test_limits_may_differ_but_meaning_may_not():
-    ActionSemantics().require_compatible(ActionSemantics(max_translation_m=0.01), mine="a", theirs="b")
+    ActionSemantics().require_compatible(ActionSemantics(max_translation_m=0.01), owner="a", other_owner="b")
     with pytest.raises(Exception, match="rate_hz: 10.0 against 5.0"):
-        ActionSemantics().require_compatible(ActionSemantics(rate_hz=5.0), mine="a", theirs="b")
+        ActionSemantics().require_compatible(ActionSemantics(rate_hz=5.0), owner="a", other_owner="b")
 
 
 def test_registry_refuses_duplicates_and_suggests():

@@ -42,10 +42,10 @@ def only_build(path: Path) -> Iterator[None]:
     with open(place, "w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            mine = os.path.samestat(os.fstat(lock.fileno()), os.stat(place))
+            locked = os.path.samestat(os.fstat(lock.fileno()), os.stat(place))
         except (BlockingIOError, FileNotFoundError):
-            mine = False
-        if not mine:  # another process has it, or has just removed it
+            locked = False
+        if not locked:  # another process has it, or has just removed it
             raise ConfigError(f"another command is writing {path}; wait for it or stop it")
         try:
             yield

@@ -129,8 +129,8 @@ def compare(
         ids.append((one.episode_id, other.episode_id))
         found.episodes += 1
         progress(done, len(shared))
-    mine, theirs = ([pair[side] for pair in ids] for side in (0, 1))
-    if mine != theirs and all(mine) and sorted(mine) == sorted(theirs):
+    first, second = ([pair[side] for pair in ids] for side in (0, 1))
+    if first != second and all(first) and sorted(first) == sorted(second):
         found.add("the episodes are the same, in another order or in other splits")
     return found
 
@@ -150,24 +150,24 @@ class _Names:
 def _common_names(a: Dataset, b: Dataset, ignore: Sequence[str], found: Comparison, *, with_images: bool) -> _Names:
     """Return the names of what both datasets have; what only one has is a difference."""
 
-    def common(kind: str, mine: Iterable[str], theirs: Iterable[str]) -> tuple[str, ...]:
-        one, other = ({name for name in names if name not in ignore} for names in (mine, theirs))
+    def common(kind: str, first: Iterable[str], second: Iterable[str]) -> tuple[str, ...]:
+        one, other = ({name for name in names if name not in ignore} for names in (first, second))
         for name in sorted(one ^ other):
             found.add(f"only {a.path if name in one else b.path} has {kind} '{name}'")
         return tuple(sorted(one & other))
 
-    mine, theirs = a.features, b.features
-    vectors = common("the vector", mine.vectors, theirs.vectors)
-    signals = common("the signal", mine.signals, theirs.signals)
-    cameras = common("the camera", mine.cameras, theirs.cameras) if with_images else ()
-    depth = common("depth of camera", mine.depth, theirs.depth) if with_images else ()
-    segmentation = common("segmentation of camera", mine.segmentation, theirs.segmentation) if with_images else ()
+    first, second = a.features, b.features
+    vectors = common("the vector", first.vectors, second.vectors)
+    signals = common("the signal", first.signals, second.signals)
+    cameras = common("the camera", first.cameras, second.cameras) if with_images else ()
+    depth = common("depth of camera", first.depth, second.depth) if with_images else ()
+    segmentation = common("segmentation of camera", first.segmentation, second.segmentation) if with_images else ()
     for name in vectors:
-        if len(mine.vectors[name]) != len(theirs.vectors[name]):
-            found.add(f"vector '{name}': {len(mine.vectors[name])} components against {len(theirs.vectors[name])}")
+        if len(first.vectors[name]) != len(second.vectors[name]):
+            found.add(f"vector '{name}': {len(first.vectors[name])} components against {len(second.vectors[name])}")
     for camera in cameras:
-        if mine.cameras[camera] != theirs.cameras[camera]:
-            found.add(f"camera '{camera}': {mine.cameras[camera]} against {theirs.cameras[camera]}")
+        if first.cameras[camera] != second.cameras[camera]:
+            found.add(f"camera '{camera}': {first.cameras[camera]} against {second.cameras[camera]}")
     for text, one, other in (
         ("steps per second", a.description.fps, b.description.fps),
         ("meaning of the actions", a.description.semantics, b.description.semantics),
@@ -177,18 +177,18 @@ def _common_names(a: Dataset, b: Dataset, ignore: Sequence[str], found: Comparis
             found.add(f"{text}: {one} against {other}")
     found.compared = {
         "numbers": ", ".join(["action", *vectors, *signals]) + ", bit for bit as float32",
-        "texts": "instruction, " + "subtask, " * (mine.subtasks or theirs.subtasks) + "episode id",
+        "texts": "instruction, " + "subtask, " * (first.subtasks or second.subtasks) + "episode id",
         "order": "by place in the split",
     }
     return _Names(
         vectors=vectors,
         signals=tuple(name for name in signals if name != EXECUTED),
-        cameras=tuple(c for c in cameras if mine.cameras[c] == theirs.cameras[c]),
+        cameras=tuple(c for c in cameras if first.cameras[c] == second.cameras[c]),
         depth=depth,
         segmentation=segmentation,
         depth_apart_m=0.0 if a.format == b.format and bool(a.facts) == bool(b.facts) else 0.51 * DEPTH_UNIT_M,
         executed=EXECUTED in signals,
-        subtasks=mine.subtasks or theirs.subtasks,
+        subtasks=first.subtasks or second.subtasks,
     )
 
 
@@ -217,10 +217,10 @@ def _compare_episode(
         if names.subtasks and at_hand[0] != at_hand[1] and not reported & {"subtask", "instruction"}:
             reported.add("subtask")
             found.add(f"subtask from step {one_step.index}: {at_hand[0]!r} against {at_hand[1]!r}", where)
-        for name, mine, theirs in _numbers(one_step, other_step, names):
-            if name not in reported and not same_bits(mine, theirs):
+        for name, first, second in _numbers(one_step, other_step, names):
+            if name not in reported and not same_bits(first, second):
                 reported.add(name)
-                found.add(f"{name} from step {one_step.index}: {_shown(mine)} against {_shown(theirs)}", where)
+                found.add(f"{name} from step {one_step.index}: {_shown(first)} against {_shown(second)}", where)
         for camera in names.cameras:
             problem = _compare_images(one_step.images[camera], other_step.images[camera], camera, found, lowest_psnr_db)
             if problem and camera not in reported:

@@ -23,9 +23,9 @@ def is_named_depth(name: str) -> bool:
 
 def camera_of(name: str, cameras: Iterable[str]) -> str:
     """Return the colour camera that depth images belong to; empty: there is none, or more than one."""
-    mine = [word for word in _words(name) if word not in _KINDS]
+    own_words = [word for word in _words(name) if word not in _KINDS]
     named = {camera: [word for word in _words(camera) if word not in _KINDS] for camera in cameras}
-    found = [camera for camera, words in named.items() if words == mine]
+    found = [camera for camera, words in named.items() if words == own_words]
     return found[0] if len(found) == 1 else ""
 
 

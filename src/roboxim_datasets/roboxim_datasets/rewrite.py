@@ -340,10 +340,10 @@ def common_description(sources: Sequence[Dataset], *, keep_keys: bool = False) -
             "robot": (first.robot, other.robot),
             "meaning of the actions": (first.semantics, other.semantics),
         }
-        for what, (mine, theirs) in pairs.items():
-            if mine != theirs:
+        for what, (left, right) in pairs.items():
+            if left != right:
                 raise RecorderError(
-                    f"{sources[0].path} and {source.path} do not fit together: {what}: {mine} against {theirs}; only "
+                    f"{sources[0].path} and {source.path} do not fit together: {what}: {left} against {right}; only "
                     "datasets with equal ones can be one (of RoboXim's bags: export them with the same options)",
                     ErrorCode.EXPORT_REFUSED,
                 )

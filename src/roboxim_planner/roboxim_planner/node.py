@@ -107,7 +107,7 @@ class PlannerNode(RoboximNode):
         self._scenes = SceneMaker(self._library)
         self._planner(self._config.robot)
         self._tracker = SceneTracker(self._library)
-        self.hear(
+        self.subscribe(
             SceneSpecMsg, "sim/scene", self._on_scene, qos.LATCHED, callback_group=MutuallyExclusiveCallbackGroup()
         )
         self._waiting = False
@@ -115,7 +115,7 @@ class PlannerNode(RoboximNode):
         self._notices = self.resolve_topic_name("sim/ticks")
         self._taken: LocalTick | None = None
         if not local_ticks.announced(context, self._notices):
-            self.hear(StateRecordMsg, "sim/state", self._on_state, qos.LATCHED, callback_group=self._states)
+            self.subscribe(StateRecordMsg, "sim/state", self._on_state, qos.LATCHED, callback_group=self._states)
         self._last_path = self.create_publisher(JointTrajectory, "planner/last_path", qos.LATCHED)
         requests = MutuallyExclusiveCallbackGroup()
         for kind, name, handler in (
@@ -147,7 +147,7 @@ class PlannerNode(RoboximNode):
 
     def _on_scene(self, msg: SceneSpecMsg, info: dict[str, Any]) -> None:
         self._tracker.scene_arrived(from_msg(msg, SceneSpec), info["source_timestamp"])
-        self._hear_state()
+        self._subscribe_state()
 
     def _on_state(self, msg: StateRecordMsg, info: dict[str, Any]) -> None:
         sent_ns = info["source_timestamp"]
@@ -168,7 +168,7 @@ class PlannerNode(RoboximNode):
         self._waiting = True
         try:
             if not self._tracker.has(episode_id, seq):
-                self._hear_state()
+                self._subscribe_state()
             return self._tracker.revision(episode_id, seq, self._config.scene_wait_s)
         finally:
             self._waiting = self._states.open = False
@@ -192,7 +192,7 @@ class PlannerNode(RoboximNode):
             from_msg(answer.scene, SceneSpec), from_msg(answer.state, StateRecord), self._library
         )
 
-    def _hear_state(self) -> None:
+    def _subscribe_state(self) -> None:
         self._states.open = True
         if self.executor is not None:
             self.executor.wake()

@@ -267,7 +267,7 @@ class SceneMaker:
 
     def _snapshot(self, around: Surroundings) -> PlanningScene:
         key = (around.scene, around.state, around.moved)
-        if self._last is None or any(mine is not theirs for mine, theirs in zip(self._last[0], key, strict=True)):
+        if self._last is None or any(before is not now for before, now in zip(self._last[0], key, strict=True)):
             self._last = key, PlanningScene.from_state(around.scene, around.state_then, self._library)
         return self._last[1]
 

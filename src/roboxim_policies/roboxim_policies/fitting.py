@@ -136,18 +136,20 @@ def _groot(metadata: Metadata, convention: Convention) -> list[str]:
 
     found = []
     if len(keys("action")) > 1:
-        ours = [last_part(key) for key in convention.action.keys]
-        unknown = [key for key in ours if key not in keys("action")]
+        action_keys = [last_part(key) for key in convention.action.keys]
+        unknown = [key for key in action_keys if key not in keys("action")]
         if unknown:
-            found.append(f"its actions are {', '.join(keys('action'))}; the convention reads {', '.join(ours)}")
+            found.append(f"its actions are {', '.join(keys('action'))}; the convention reads {', '.join(action_keys)}")
     sent = {
         "video": [last_part(image.key) for image in convention.images],
         "state": [last_part(state.key) for state in convention.states],
     }
-    for group, ours in sent.items():
-        missing = [key for key in keys(group) if key not in ours]
+    for group, group_keys in sent.items():
+        missing = [key for key in keys(group) if key not in group_keys]
         if missing:
-            found.append(f"it needs the {group} {', '.join(missing)}; the convention sends {', '.join(ours) or 'none'}")
+            found.append(
+                f"it needs the {group} {', '.join(missing)}; the convention sends {', '.join(group_keys) or 'none'}"
+            )
     return found
 
 

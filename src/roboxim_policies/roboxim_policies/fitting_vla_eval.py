@@ -221,8 +221,8 @@ def _observation_misfits(specs: Mapping[str, Any], convention: Convention) -> li
         elif word not in (DEFAULT_FORMAT, LANGUAGE):
             found.append(_unknown(f"observation_spec: {name}", part if word is None else word))
     if len(pictures) > len(convention.images):
-        ours = ", ".join(image.key for image in convention.images) or "none"
-        found.append(f"it needs the pictures {', '.join(pictures)}, the convention sends {ours}")
+        image_keys = ", ".join(image.key for image in convention.images) or "none"
+        found.append(f"it needs the pictures {', '.join(pictures)}, the convention sends {image_keys}")
     return found
 
 

@@ -59,13 +59,13 @@ class Probe:
         A model that repeats itself must repeat itself up to rounding (1e-3 of the largest number). The replies of a
         model that samples may differ three times as much from the other's as they differ among themselves.
         """
-        mine, theirs = self._array(), other._array()
-        if mine is None or theirs is None or mine.shape[1] != theirs.shape[1]:
+        own, others = self._array(), other._array()
+        if own is None or others is None or own.shape[1] != others.shape[1]:
             sizes = sorted({len(reply) for reply in (*self.replies, *other.replies)})
             return f"its replies to the probe have other sizes ({sizes} numbers)"
-        scale = max(float(np.abs(mine).max()), float(np.abs(theirs).max()), 1e-6)
-        within = max(_spread(mine), _spread(theirs))
-        apart = float(np.abs(mine.mean(axis=0) - theirs.mean(axis=0)).max())
+        scale = max(float(np.abs(own).max()), float(np.abs(others).max()), 1e-6)
+        within = max(_spread(own), _spread(others))
+        apart = float(np.abs(own.mean(axis=0) - others.mean(axis=0)).max())
         allowed = 3.0 * within + 1e-3 * scale
         if apart <= allowed:
             return ""

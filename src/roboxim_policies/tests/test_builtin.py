@@ -170,4 +170,4 @@ def test_a_bag_of_a_version_with_other_semantics_is_refused_by_name():
 def test_policies_without_a_rate_of_their_own_fit_every_run(name):
     for rate_hz in (5.0, 20.0):
         run = ActionSemantics(rate_hz=rate_hz)
-        load_policy(name).describe().semantics.require_compatible(run, mine=name, theirs="the run")
+        load_policy(name).describe().semantics.require_compatible(run, owner=name, other_owner="the run")

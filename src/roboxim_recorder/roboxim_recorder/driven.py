@@ -211,11 +211,11 @@ class DrivenDataset(Dataset):
 
     def _like(self, one: Stretch, other: Stretch) -> bool:
         """Return whether two stretches fit into one dataset."""
-        epoch, others = (
+        first, second = (
             (of.scene.robot.model, of.tick_ns, [(c.name, c.width, c.height) for c in self._cameras(of.scene)])
             for of in (one, other)
         )
-        return epoch == others
+        return first == second
 
     def _images(self, stretch: Stretch, cameras: Sequence[str]) -> Iterator[dict[str, Any]]:
         """Yield the images of each state of a stretch, by camera."""

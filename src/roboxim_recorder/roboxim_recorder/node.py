@@ -176,7 +176,7 @@ class RecorderNode(RoboximNode):
             if known[0] == kind:
                 return
             self.destroy_subscription(known[1])
-        subscription = self.hear(
+        subscription = self.subscribe(
             _message_class(kind), name, self._callback(topic), profile, raw=True, callback_group=group
         )
         self._subscribed[topic] = (kind, subscription)

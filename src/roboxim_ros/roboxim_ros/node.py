@@ -81,7 +81,9 @@ class RoboximNode(GuardedNode):
         """
         self.create_service(srv_type, name, handler, **kwargs)
 
-    def hear(self, msg_type: Any, name: str, callback: Callable[..., None], qos: Any, **kwargs: Any) -> Subscription:
+    def subscribe(
+        self, msg_type: Any, name: str, callback: Callable[..., None], qos: Any, **kwargs: Any
+    ) -> Subscription:
         """Subscribe to a topic.
 
         Args:

@@ -81,14 +81,14 @@ def _locked(path: Path) -> bool:
 
 def fault_of_folder() -> str | None:
     """Return why this process cannot make its files in `FOLDER`, with the remedy; None: it can."""
-    cure = "RoboXim's nodes communicate only through it; in Docker: --shm-size=512m"
+    remedy = "RoboXim's nodes communicate only through it; in Docker: --shm-size=512m"
     if not FOLDER.is_dir() or not os.access(FOLDER, os.W_OK | os.X_OK):
-        return f"the shared memory {FOLDER} cannot be written: {cure}, without a read-only mount over it"
+        return f"the shared memory {FOLDER} cannot be written: {remedy}, without a read-only mount over it"
     usage = shutil.disk_usage(FOLDER)
     if usage.free < NEEDED_BYTES:
         return (
             f"the shared memory {FOLDER} has {usage.free // 1024} of {usage.total // 1024} KiB free, a process with "
-            f"nodes needs {NEEDED_BYTES // 1024}: {cure}; 'fastdds shm clean' removes files of dead processes"
+            f"nodes needs {NEEDED_BYTES // 1024}: {remedy}; 'fastdds shm clean' removes files of dead processes"
         )
     return None
 

@@ -52,7 +52,7 @@ class Faulty(RoboximNode):
         self.serve_action(SimulateSteps, "steps", self._raise)
         self.serve_action(FollowJointTrajectory, "follow", self._raise_later)
         self.serve_action(GripperCommand, "grip", self._raise)
-        self.hear(String, "words", self._on_words, qos.STATE)
+        self.subscribe(String, "words", self._on_words, qos.STATE)
         self.create_timer(0.01, self._on_timer)
         self.declare_parameter("number", 1)
         self.add_on_set_parameters_callback(self._raise)

@@ -314,5 +314,5 @@ def _executable(semantics: ActionSemantics | None, scene: SceneSpec) -> ActionSe
     """Return the semantics at the scene's rate; refuse those that the simulator does not execute."""
     requested = semantics or ActionSemantics(rate_hz=scene.control_rate_hz)
     executed = requested.executed(scene.control_rate_hz)
-    requested.require_compatible(executed, mine="the request", theirs="the simulator")
+    requested.require_compatible(executed, owner="the request", other_owner="the simulator")
     return executed

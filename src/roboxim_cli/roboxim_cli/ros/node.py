@@ -104,9 +104,9 @@ def run_node(
     label = name or policies[0].namespace
     namespace = namespace and absolute(namespace)
     from_files = read_params_files(params_files, namespace=namespace)
-    mine = {node: values for node, values in from_files.items() if node == label}
+    own_values = {node: values for node, values in from_files.items() if node == label}
     common = from_files.get("", {})
-    parameters = merge({label: dict(common)}, mine, parse_assignments(assignments, node=label))
+    parameters = merge({label: dict(common)}, own_values, parse_assignments(assignments, node=label))
     with (
         membership("node" if name else "policy", run_id, domain, open_network, namespace) as member,
         NodeHost() as host,

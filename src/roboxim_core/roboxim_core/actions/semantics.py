@@ -218,13 +218,13 @@ class ActionSemantics:
             names.append("rate_hz")
         return tuple(names)
 
-    def require_compatible(self, other: ActionSemantics, *, mine: str, theirs: str) -> None:
+    def require_compatible(self, other: ActionSemantics, *, owner: str, other_owner: str) -> None:
         """Refuse a mismatch of meaning or rate; the limits may differ.
 
         Args:
             other: The semantics to compare with.
-            mine: Owner of these semantics, for the message, e.g. ``"policy 'bc'"``.
-            theirs: Owner of the other semantics, for the message.
+            owner: Owner of these semantics, for the message, e.g. ``"policy 'bc'"``.
+            other_owner: Owner of the other semantics, for the message.
 
         Raises:
             EvaluationError: With code ``SEMANTICS_MISMATCH``, naming every differing field and whether a transform
@@ -235,7 +235,7 @@ class ActionSemantics:
                 f"{name}: {_shown(getattr(self, name))} against {_shown(getattr(other, name))}" for name in differing
             )
             raise EvaluationError(
-                f"action semantics of {mine} and {theirs} differ ({fields}); {_advice(self, other)}",
+                f"action semantics of {owner} and {other_owner} differ ({fields}); {_advice(self, other)}",
                 ErrorCode.SEMANTICS_MISMATCH,
             )
 

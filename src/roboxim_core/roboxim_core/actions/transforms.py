@@ -139,7 +139,9 @@ class ActionTransform:
             EvaluationError: With code ``SEMANTICS_MISMATCH`` when the rates differ.
         """
         if "rate_hz" in source.differing(target):
-            source.require_compatible(replace(source, rate_hz=target.rate_hz), mine="the source", theirs="the target")
+            source.require_compatible(
+                replace(source, rate_hz=target.rate_hz), owner="the source", other_owner="the target"
+            )
         rate_hz = source.rate_hz or target.rate_hz
         if rate_hz == ANY_RATE and ControlMode.JOINT_VELOCITY in (source.control, target.control):
             raise EvaluationError(

@@ -176,7 +176,9 @@ def _meaning(convention: Convention) -> list[str]:
     if not action.control.is_joint_space:
         lines.append(f"Rotation: {_ROTATIONS[action.rotation]}.")
     if not frames.is_plain:
-        axes = ", ".join(f"{axis} is RoboXim's {ours}" for axis, ours in zip("xyz", frames.base_axes, strict=True))
+        axes = ", ".join(
+            f"{axis} is RoboXim's {own_axis}" for axis, own_axis in zip("xyz", frames.base_axes, strict=True)
+        )
         lines.append(f"Axes: {axes}.")
     named = (("translations", "translation_range"), ("rotations", "rotation_range"), ("joints", "joint_range"))
     for what, name in named:

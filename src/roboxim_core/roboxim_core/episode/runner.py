@@ -215,7 +215,9 @@ class EpisodeRunner:
         declared = self.description.semantics
         semantics = declared.executed(scene.control_rate_hz)
         declared.require_compatible(
-            replace(declared, rate_hz=scene.control_rate_hz), mine=f"policy '{self.description.name}'", theirs="the run"
+            replace(declared, rate_hz=scene.control_rate_hz),
+            owner=f"policy '{self.description.name}'",
+            other_owner="the run",
         )
         info = EpisodeInfo(
             episode_id=episode_id(seed), run_seed=seed.run_seed, purpose=seed.purpose, index=seed.index,

@@ -96,16 +96,16 @@ def summary(names: tuple[str, str], found: Sequence[SceneComparison]) -> tuple[s
         f"{second} alone in {count[False, True]}, neither in {count[False, False]}."
     ]
     for winner, loser, outcome in ((first, second, (True, False)), (second, first, (False, True))):
-        mine = [one for one in found if one.outcome == outcome]
-        decided = [one for one in mine if one.decides_at is not None]
-        if mine:
+        matching = [one for one in found if one.outcome == outcome]
+        decided = [one for one in matching if one.decides_at is not None]
+        if matching:
             phases = Counter(one.phase for one in decided).most_common()
             parts = [f"{name} in {many}" for name, many in phases]
-            if len(decided) < len(mine):
-                never = len(mine) - len(decided)
+            if len(decided) < len(matching):
+                never = len(matching) - len(decided)
                 parts.append(f"no moment in {never}, where {loser} fails even if it acts in the last tick alone")
             sentences.append(
-                f"Of the scenes where {winner} succeeds and {loser} fails ({len(mine)}), what decides is: "
+                f"Of the scenes where {winner} succeeds and {loser} fails ({len(matching)}), what decides is: "
                 f"{'; '.join(parts)}."
             )
     return tuple(sentences)

@@ -62,9 +62,11 @@ def expanded(config: ExperimentConfig) -> ExperimentConfig:
     sets = nested_sets(cells, combinations.seen)
     datasets = {
         name_of(number): DatasetConfig(
-            cells="seen", per_cell=combinations.demonstrations // number, only=tuple(dict(cell.levels) for cell in mine)
+            cells="seen",
+            per_cell=combinations.demonstrations // number,
+            only=tuple(dict(cell.levels) for cell in chosen_cells),
         )
-        for number, mine in zip(combinations.seen, sets, strict=True)
+        for number, chosen_cells in zip(combinations.seen, sets, strict=True)
     }
     total = len(chosen(cells, "seen"))
     conditions = {
@@ -111,7 +113,7 @@ def nested_sets(cells: Sequence[Cell], numbers: Sequence[int]) -> tuple[tuple[Ce
         raise ConfigError(f"combinations.seen: {numbers[-1]} cells, but only {len(seen)} of {len(cells)} are seen")
     needed = tuple(sorted({item for cell in cells for item in cell.levels.items()}))
     places = _nested(tuple(tuple(cell.levels.items()) for cell in seen), needed, tuple(numbers))
-    return tuple(tuple(seen[place] for place in mine) for mine in places)
+    return tuple(tuple(seen[place] for place in indices) for indices in places)
 
 
 @lru_cache(maxsize=32)
@@ -139,11 +141,11 @@ def _nested(seen: tuple[Levels, ...], needed: Levels, numbers: tuple[int, ...]) 
         for cell in range(cells if k else 0):
             require({cell * sets + k - 1: 1.0, cell * sets + k: -1.0}, -1.0, 0.0)
         for place, (factor, level) in enumerate(needed):
-            mine = {cell * sets + k: 1.0 for cell in range(cells) if (factor, level) in seen[cell]}
+            terms = {cell * sets + k: 1.0 for cell in range(cells) if (factor, level) in seen[cell]}
             bound, share = size + place * sets + k, number / factors[factor]
-            require(mine, 1.0, math.inf)
-            require({**mine, bound: -1.0}, -math.inf, share)
-            require({**mine, bound: 1.0}, share, math.inf)
+            require(terms, 1.0, math.inf)
+            require({**terms, bound: -1.0}, -math.inf, share)
+            require({**terms, bound: 1.0}, share, math.inf)
     preferred = np.add.outer(np.arange(cells), np.zeros(sets)).ravel() ** 2 * 1e-6  # always the same sets
     found = milp(
         np.concatenate([preferred, np.ones(levels * sets)]),
@@ -223,21 +225,21 @@ def transfer_curve(
         kinds: Condition ``seen_N`` to the verdict of its comparison with the largest number in held-out cells.
     """
     unseen = [cell.key for cell in cells_of(config) if cell.unseen]
-    mine = [arms[name].within(unseen) for name in names_of(combinations)]
+    held_out = [arms[name].within(unseen) for name in names_of(combinations)]
     points = tuple(
         TransferPoint(
             number=number, per_cell=combinations.demonstrations // number, rate=condition_rate(arm),
             rates=tuple(float(rate) for rate in arm.rates),
         )
-        for number, arm in zip(combinations.seen, mine, strict=True)
+        for number, arm in zip(combinations.seen, held_out, strict=True)
     )  # fmt: skip
     smaller = combinations.seen[:-1]
     good = [kinds.get(name_of(number)) == "as_good" for number in smaller]
     enough = next((number for place, number in enumerate(smaller) if all(good[place:])), None)
     places = [math.log(number) for number in combinations.seen]
     return TransferCurve(
-        points=points, change=trend([(x - places[0]) / (places[-1] - places[0]) for x in places], mine), enough=enough,
-        fewer=tuple(number for number in smaller if kinds.get(name_of(number)) == "lower"),
+        points=points, change=trend([(x - places[0]) / (places[-1] - places[0]) for x in places], held_out),
+        enough=enough, fewer=tuple(number for number in smaller if kinds.get(name_of(number)) == "lower"),
     )  # fmt: skip
 
 

@@ -120,13 +120,13 @@ def _datasets(cards: Mapping[str, Card], condition: str) -> dict[str, str]:
     """
     keys = {name: _datasets_of(card, condition) for name, card in cards.items()}
     known = {
-        name: mine for name, mine in keys.items()
-        if mine and all(key in cards[name].datasets and cards[name].datasets[key].sha256 for key in mine)
+        name: datasets for name, datasets in keys.items()
+        if datasets and all(key in cards[name].datasets and cards[name].datasets[key].sha256 for key in datasets)
     }  # fmt: skip
     replicates = min(map(len, known.values()), default=0)
     found = {}
-    for name, mine in known.items():
-        used = [cards[name].datasets[key] for key in dict.fromkeys(mine[:replicates])]
+    for name, datasets in known.items():
+        used = [cards[name].datasets[key] for key in dict.fromkeys(datasets[:replicates])]
         hashes = ", ".join(dataset.sha256[:SHOWN_HASH] for dataset in used)
         trainer = design_of_card(cards[name]).trainer
         found[name] = f"{sum(used[0].by_cell.values())} demonstrations as {trainer.format}, {hashes}"
@@ -136,8 +136,8 @@ def _datasets(cards: Mapping[str, Card], condition: str) -> dict[str, str]:
 def _datasets_of(card: Card, condition: str) -> list[str]:
     """Return the dataset of each training whose policy a condition evaluates, by replicate; empty: not trained."""
     trained = card.experiment.config.conditions[condition].checkpoint_of or condition
-    mine = sorted((t for t in card.trainings if t.condition == trained), key=lambda t: t.replicate)
-    return [training.dataset for training in mine]
+    trainings = sorted((t for t in card.trainings if t.condition == trained), key=lambda t: t.replicate)
+    return [training.dataset for training in trainings]
 
 
 def _listed(names: Iterable[str]) -> str:

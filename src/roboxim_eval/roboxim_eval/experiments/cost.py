@@ -312,8 +312,8 @@ def _scenes_against(design: Design) -> int:
     if primary is None or primary.against in ("", primary.where):
         return 0
     keys = {cell.key for cell in chosen(design.cells, primary.against)}
-    theirs = next(e for e in design.evaluations if e.condition == primary.second and not e.checkpoint)
-    return sum(count for key, count in theirs.counts.items() if key in keys)
+    evaluation = next(e for e in design.evaluations if e.condition == primary.second and not e.checkpoint)
+    return sum(count for key, count in evaluation.counts.items() if key in keys)
 
 
 REPLICATES = (1, 3, 4, 5, 6, 8, 10, 12, 16, 20)

@@ -106,8 +106,8 @@ class Design:
         if primary is None:
             return 0
         keys = {cell.key for cell in chosen(self.cells, primary.where)}
-        mine = next(e for e in self.evaluations if e.condition == primary.first and not e.checkpoint)
-        return sum(count for key, count in mine.counts.items() if key in keys)
+        evaluation = next(e for e in self.evaluations if e.condition == primary.first and not e.checkpoint)
+        return sum(count for key, count in evaluation.counts.items() if key in keys)
 
 
 def design_of(config: ExperimentConfig, trainer: str = "") -> Design:
@@ -190,10 +190,10 @@ def _trainer(config: ExperimentConfig, name: str) -> TrainerConfig:
 
 
 def _counts(cells: tuple[Cell, ...], name: str, dataset: DatasetConfig) -> dict[str, int]:
-    mine = chosen(cells, dataset.cells, dataset.only)
-    if not mine:
+    selected = chosen(cells, dataset.cells, dataset.only)
+    if not selected:
         raise ConfigError(f"datasets.{name}: no cell is '{dataset.cells}' and matches 'only'")
-    keys = [cell.key for cell in mine]
+    keys = [cell.key for cell in selected]
     for key in dataset.more:
         if key not in keys:
             raise ConfigError(f"datasets.{name}.more: no cell '{key}' in this dataset; {one_of(keys, key)}")
@@ -231,12 +231,12 @@ def _evaluations(config: ExperimentConfig, cells: tuple[Cell, ...], trainer: Tra
     evaluate = config.evaluate
     for replicate in range(config.replicates.count):
         for name, condition in config.conditions.items():
-            mine = chosen(cells, evaluate.cells.get(name, "all"))
-            each = {cell.key: (cell.unseen and evaluate.per_unseen_cell) or evaluate.per_cell for cell in mine}
+            selected = chosen(cells, evaluate.cells.get(name, "all"))
+            each = {cell.key: (cell.unseen and evaluate.per_unseen_cell) or evaluate.per_cell for cell in selected}
             if not each:
                 raise ConfigError(f"evaluate.cells.{name}: no cell is '{evaluate.cells[name]}'")
             if condition.train and config.curve is not None:
-                seen = [cell.key for cell in mine if not cell.unseen] or list(each)
+                seen = [cell.key for cell in selected if not cell.unseen] or list(each)
                 shares = _spread(config.curve.per_checkpoint, seen)
                 for checkpoint in _checkpoints(config, trainer, condition.steps or trainer.steps, replicate):
                     yield Evaluation(condition=name, replicate=replicate, counts=shares, checkpoint=checkpoint)

@@ -50,8 +50,8 @@ def card_spreads(card: Card) -> tuple[Spread, ...]:
     keys = {cell.key for cell in chosen(design.cells, where)}
     found = []
     for name, arm in arms.items():
-        if mine := [cell for cell in arm.cells if cell in keys]:
-            parts, fixed = arm_components(arm, mine), condition_rate(arm.within(mine))
+        if common := [cell for cell in arm.cells if cell in keys]:
+            parts, fixed = arm_components(arm, common), condition_rate(arm.within(common))
             found.append(Spread(name=name, where=where, components=parts, difference=False, fixed=fixed))
     if primary is not None and not primary.against:
         first, second = arms[primary.first], arms[primary.second]

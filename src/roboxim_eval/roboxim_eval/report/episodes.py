@@ -130,7 +130,7 @@ def level_links(factor: str, values: Mapping[str, str], link: Link, **query: obj
     members: dict[str, set[str]] = {}
     for episode, level in grouped(values).items():
         members.setdefault(level, set()).add(values[episode])
-    return {level: link(**query, **{factor: _chosen(level, mine)}) for level, mine in members.items()}
+    return {level: link(**query, **{factor: _chosen(level, numbers)}) for level, numbers in members.items()}
 
 
 def _chosen(level: str, values: Collection[str]) -> str:

@@ -226,13 +226,13 @@ def by_level(design: Design, arms: Mapping[str, Arm], link: Link) -> list[dict[s
             rows = [
                 replace(
                     _rate_total(
-                        f"{PurePath(level).stem if level.endswith('.yaml') else level}: {name}", name, mine, link
+                        f"{PurePath(level).stem if level.endswith('.yaml') else level}: {name}", name, outcomes, link
                     ),
                     kind="cell",
                 )
                 for level, keys in cells.items()
                 for name, arm in arms.items()
-                if (mine := _met(arm, keys)) is not None
+                if (outcomes := _met(arm, keys)) is not None
             ]
             heading = f"By {factor.replace('_', ' ')}, success in %"
             tables.append({"heading": heading, "rows": rows, "scale": RATES})

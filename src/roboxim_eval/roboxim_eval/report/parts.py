@@ -48,7 +48,7 @@ def map_view(episodes: Sequence[Episode], arms: Sequence[str], place: Place | No
         ]
         for arm in arms
     }
-    known = {arm: mine for arm, mine in starts.items() if mine}
+    known = {arm: arm_starts for arm, arm_starts in starts.items() if arm_starts}
     return table_maps(known, place) if known else None
 
 
@@ -178,10 +178,10 @@ def _breakdown(episodes: Sequence[Episode], arms: Sequence[str], name: str) -> d
         members.setdefault(level, []).append(int(number))
     rows = []
     for level in sorted(members, key=level_order):
-        mine = {arm: [n for n in members[level] if episodes[n].arm == arm] for arm in arms}
+        by_arm = {arm: [n for n in members[level] if episodes[n].arm == arm] for arm in arms}
         rows.append({
             "level": level, "numbers": members[level],
-            "cells": [_cell(episodes, name, level, values, mine[arm], arm) for arm in arms],
+            "cells": [_cell(episodes, name, level, values, by_arm[arm], arm) for arm in arms],
         })  # fmt: skip
     return {"name": factor_name(name), "also": [], "levels": rows}
 

@@ -87,11 +87,12 @@ def factor_effects(trials: Sequence[Trial], *, seed: int = 0) -> tuple[FactorEff
     means = np.bincount(strata, weights=wins) / np.bincount(strata)
     residuals = wins - means[strata]
     members = [_members(group) for group in groups.values()]
-    observed = [_between(residuals, mine) for mine in members]
+    observed = [_between(residuals, indices) for indices in members]
     reached = np.zeros(len(groups), dtype=int)
     for shuffled in _shuffles(trials, residuals, np.random.default_rng(seed)):
         reached += [
-            int((_between(shuffled, mine) >= own - 1e-9).sum()) for mine, own in zip(members, observed, strict=True)
+            int((_between(shuffled, indices) >= own - 1e-9).sum())
+            for indices, own in zip(members, observed, strict=True)
         ]
     p_values = [(1 + int(number)) / (PERMUTATIONS + 1) for number in reached]
     effects = [
@@ -157,8 +158,8 @@ def _between(residuals: Array, members: Array) -> Array:
 def _rates(success: Array, groups: Array) -> dict[str, SuccessRate]:
     found = {}
     for level in sorted(set(groups.tolist()), key=level_order):
-        mine = success[groups == level]
-        found[level] = success_rate(int(mine.sum()), len(mine))
+        outcomes = success[groups == level]
+        found[level] = success_rate(int(outcomes.sum()), len(outcomes))
     return found
 
 

@@ -258,15 +258,15 @@ def dimension_scores(experiments: Mapping[str, ExperimentScore]) -> dict[str, Di
     """
     found = {}
     for dimension in dict.fromkeys(name for one in experiments.values() for name in one.dimensions):
-        mine = {name: one for name, one in experiments.items() if dimension in one.dimensions}
-        ratios = [one.relative for one in mine.values() if one.relative is not None]
-        refused = tuple(name for name, one in mine.items() if one.relative is None)
+        selected = {name: one for name, one in experiments.items() if dimension in one.dimensions}
+        ratios = [one.relative for one in selected.values() if one.relative is not None]
+        refused = tuple(name for name, one in selected.items() if one.relative is None)
         found[dimension] = DimensionScore(
-            absolute=mean_interval([one.absolute for one in mine.values()]),
-            baseline=mean_interval([one.baseline for one in mine.values()]),
-            gap=mean_interval([one.gap for one in mine.values()]),
+            absolute=mean_interval([one.absolute for one in selected.values()]),
+            baseline=mean_interval([one.baseline for one in selected.values()]),
+            gap=mean_interval([one.gap for one in selected.values()]),
             relative=None if refused else mean_interval(ratios),
-            experiments=tuple(mine),
+            experiments=tuple(selected),
             refused=refused,
         )
     return found

@@ -287,7 +287,7 @@ def read_demonstrations(
     for index, episode in enumerate(itertools.islice(dataset.episodes(split), total)):
         declared = require_semantics(episode, path)
         if semantics is not None:
-            declared.require_compatible(semantics, mine=f"episode {index}", theirs="episode 0")
+            declared.require_compatible(semantics, owner=f"episode {index}", other_owner="episode 0")
         semantics = declared
         robots.add(episode.robot)
         for camera, seen in views.items():

@@ -51,7 +51,7 @@ def require_start(start: Checkpoint, config: LearningConfig, data: Demonstration
             f"the checkpoint sees the cameras {_listed(start.input_sizes)}, and the training {_listed(sizes)}; "
             "export these cameras, or set image_sizes"
         )
-    data.semantics.require_compatible(start.semantics, mine="the dataset", theirs="the checkpoint")
+    data.semantics.require_compatible(start.semantics, owner="the dataset", other_owner="the checkpoint")
 
 
 def carried_weights(start: Checkpoint, config: LearningConfig, data: Demonstrations) -> Array:

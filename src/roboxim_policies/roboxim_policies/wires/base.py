@@ -109,11 +109,11 @@ class Wire(ABC):
         """The server, for messages."""
         return f"the {self.name()} server at {self.url}"
 
-    def connect(self, *, patience_s: float | None = None, deadline: Deadline | None = None) -> Metadata:
+    def connect(self, *, reconnect_wait_s: float | None = None, deadline: Deadline | None = None) -> Metadata:
         """Return the server's metadata; open the session if it is closed.
 
         Args:
-            patience_s: Time in which a refused connection is tried again [s]; None: ``reconnect_s``.
+            reconnect_wait_s: Time in which a refused connection is tried again [s]; None: ``reconnect_s``.
             deadline: Deadline; None: ``timeout_s`` from now.
 
         Raises:
@@ -123,8 +123,8 @@ class Wire(ABC):
         if self._is_open and self._alive() and self._metadata is not None:
             return self._metadata
         self.close()
-        patience_s = self.reconnect_s if patience_s is None else patience_s
-        metadata = self._opened(patience_s, deadline or Deadline(self.timeout_s))
+        reconnect_wait_s = self.reconnect_s if reconnect_wait_s is None else reconnect_wait_s
+        metadata = self._opened(reconnect_wait_s, deadline or Deadline(self.timeout_s))
         if self._metadata is not None and to_json(metadata) != to_json(self._metadata):
             self.close()
             raise fault(
@@ -172,7 +172,7 @@ class Wire(ABC):
         self._is_open = False
         self._shut()
 
-    def _opened(self, patience_s: float, deadline: Deadline) -> Metadata:
+    def _opened(self, reconnect_wait_s: float, deadline: Deadline) -> Metadata:
         """Open the session, again and again for a time while the connection is refused."""
         pause, waited = FIRST_PAUSE_S, 0.0
         while True:
@@ -184,7 +184,7 @@ class Wire(ABC):
             except PolicyError as error:
                 if error.code == ErrorCode.POLICY_LATE:  # a machine that is switched off sends no refusal
                     raise died(f"{self.server} cannot be reached: {error}") from None
-                if error.code != ErrorCode.POLICY_DIED or waited + pause > patience_s:
+                if error.code != ErrorCode.POLICY_DIED or waited + pause > reconnect_wait_s:
                     raise
             self.pause(pause)
             waited += pause

@@ -92,8 +92,8 @@ class Serialiser:
             return _config(part.get("as_json"))
         return part
 
-    def _require(self, mine: bool) -> None:
-        if not mine:
+    def _require(self, matches: bool) -> None:
+        if not matches:
             raise unreadable(
                 f"its arrays are of another serialiser than that of {self.name}, which the server declared"
             )

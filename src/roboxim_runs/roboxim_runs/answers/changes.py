@@ -173,10 +173,10 @@ def _in_the_middle(task: TaskSpec, scene: SceneSpec) -> Iterator[Change]:
     """Yield the change of place: all loose objects are moved together, so that the first one lies in the middle."""
     thing = task_objects(task)[0]
     free = [entity for entity in scene.entities if not entity.fixed]
-    mine = next((entity for entity in free if entity.name == thing.entity), None)
-    if mine is None:
+    named_entity = next((entity for entity in free if entity.name == thing.entity), None)
+    if named_entity is None:
         return
-    (x, y, _), (at_x, at_y, _) = scene.table.center, mine.pose.position
+    (x, y, _), (at_x, at_y, _) = scene.table.center, named_entity.pose.position
     if max(abs(x - at_x), abs(y - at_y)) < MIN_SHIFT_M:
         return
 

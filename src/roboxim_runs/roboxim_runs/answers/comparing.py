@@ -100,9 +100,9 @@ class _Scene:
         self._on_part(self._seed.index, f"swapped at tick {tick}")
         handed = HandOver(before.states, tick, then)
         after = self._bench.run(self._draw, handed, self._seed, config=self._run)
-        for ours, theirs in zip(before.states[: tick + 1], after.states, strict=False):
-            if ours.state_hash != theirs.state_hash:
-                raise SimError(f"the simulator does not repeat tick {ours.seq} of the episode", ErrorCode.DIVERGED)
+        for recorded, repeated in zip(before.states[: tick + 1], after.states, strict=False):
+            if recorded.state_hash != repeated.state_hash:
+                raise SimError(f"the simulator does not repeat tick {recorded.seq} of the episode", ErrorCode.DIVERGED)
         return after.success
 
 

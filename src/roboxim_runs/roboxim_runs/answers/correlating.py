@@ -168,13 +168,13 @@ def correlated(first: Path, second: Sequence[Path], *, seed: int = 0) -> Correla
     Raises:
         ConfigError: When a table is wrong, two have a policy of the same name, or too few policies are in both.
     """
-    ours: dict[str, Arm] = {}
+    arms: dict[str, Arm] = {}
     for path in second:
         found = read_results(path)
-        if twice := sorted(ours.keys() & found.keys()):
+        if twice := sorted(arms.keys() & found.keys()):
             raise ConfigError(f"{path}: policy '{twice[0]}' is in another of the tables, too; rename it")
-        ours |= found
-    return correlation(paired(read_results(first), ours), seed=seed)
+        arms |= found
+    return correlation(paired(read_results(first), arms), seed=seed)
 
 
 __all__ = ["correlated", "paired", "read_results"]

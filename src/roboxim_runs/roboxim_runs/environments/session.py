@@ -255,7 +255,7 @@ class EpisodeSession:
             views = {camera.name: [camera] for camera in scene.cameras}
             if reset:
                 files = {name: reset.views[name].values if name in reset.views else (name,) for name in reset.names}
-                views = {name: [load_camera(str(file)) for file in mine] for name, mine in files.items()}
+                views = {name: [load_camera(str(file)) for file in paths] for name, paths in files.items()}
             for name, cameras in views.items():
                 found.setdefault(name, set()).update((camera.width, camera.height) for camera in cameras)
             names.add(tuple(views))

@@ -231,18 +231,18 @@ def printed(run: Path, index: int) -> tuple[str, str]:
         if mark not in lines:
             continue
         start = len(lines) - lines[::-1].index(mark)  # the last attempt
-        mine = list(takewhile(lambda line: not line.startswith(("--- episode ", "nanobind: leaked")), lines[start:]))
-        mine = [line for line in mine if not _NODE_LINE.match(line)]
-        if len(mine) > MAX_LOG_LINES:
+        printed = list(takewhile(lambda line: not line.startswith(("--- episode ", "nanobind: leaked")), lines[start:]))
+        printed = [line for line in printed if not _NODE_LINE.match(line)]
+        if len(printed) > MAX_LOG_LINES:
             half = MAX_LOG_LINES // 2
-            mine = [
-                *mine[:half],
-                f"... {len(mine) - MAX_LOG_LINES} lines left out; all are in {log.name}",
-                *mine[-half:],
+            printed = [
+                *printed[:half],
+                f"... {len(printed) - MAX_LOG_LINES} lines left out; all are in {log.name}",
+                *printed[-half:],
             ]
         return (
-            "\n".join(mine),
-            "" if mine else NOTHING_PRINTED,
+            "\n".join(printed),
+            "" if printed else NOTHING_PRINTED,
         )
     if not logs:
         return "", "The logs of its run are not beside its bag."

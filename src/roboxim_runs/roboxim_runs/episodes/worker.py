@@ -20,7 +20,7 @@ from roboxim_ros.host import NodeHost
 from roboxim_ros.local.episodes import RUN_EPISODES
 from roboxim_runs.episodes.staging import Staging
 from roboxim_runs.executors.protocol import WorkerBrokenError
-from roboxim_runs.policies.waiting import Patience
+from roboxim_runs.policies.waiting import Retries
 from roboxim_runs.storage.folder import EPISODE_MARK, RunFolder
 
 LOOK_S = 0.5
@@ -73,16 +73,16 @@ class EpisodeWorker:
         Raises:
             UnavailableError: When the server stays away.
         """
-        patience = Patience(self._wait_s)
+        retries = Retries(self._wait_s)
         while (result := self._tried(job, note)).reason == POLICY_DIED:
             self._check()
             if self._served:
                 raise WorkerBrokenError(f"its policy server was lost: {result.message}")
-            pause_s = patience.lost(result)
-            note({"index": job, "waiting": patience.text(result)})
+            pause_s = retries.lost(result)
+            note({"index": job, "waiting": retries.text(result)})
             self._pause(pause_s)
             RunFolder(self._config.output_dir).discard([job])
-        if patience.tried:
+        if retries.tried:
             note({"index": job, "waiting": ""})
         plain: dict[str, Any] = to_plain(result)
         return plain if self._staging is None else {"result": plain, **self._staging.handed_over()}

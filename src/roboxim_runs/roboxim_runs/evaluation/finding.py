@@ -116,8 +116,8 @@ def _other_conditions(evaluation: Path) -> list[Path]:
     return [
         folder / condition
         for folder in others
-        for condition, _, mine in [folder.name.rpartition(".")]
-        if mine == training and "@" not in condition
+        for condition, _, replicate in [folder.name.rpartition(".")]
+        if replicate == training and "@" not in condition
     ]
 
 
@@ -127,13 +127,13 @@ def _bag_of(run: Path, number: int | None) -> Path:
         raise ConfigError(
             f"{run} has {len(results)} episodes; say which one, e.g. roboxim show {run} {_example(results)}"
         )
-    mine = [result for result in results if result.index == number]
-    if not mine:
+    matching = [result for result in results if result.index == number]
+    if not matching:
         there = ", ".join(str(result.index) for result in results[:12])
         raise ConfigError(f"{run} has no episode {number}; it has {there}{', ...' if len(results) > 12 else ''}")
-    bag = run / mine[-1].bag
-    if not mine[-1].bag or not bag.exists():
-        raise ConfigError(f"episode {number} of {run} has no bag here ({mine[-1].outcome} {mine[-1].reason})")
+    bag = run / matching[-1].bag
+    if not matching[-1].bag or not bag.exists():
+        raise ConfigError(f"episode {number} of {run} has no bag here ({matching[-1].outcome} {matching[-1].reason})")
     return bag
 
 

@@ -85,7 +85,7 @@ def shown_runs(
             _run(result, facts[name], scenes[name], shown, out, film=film, trained=name in trained, name=name)
             for name, result in found.items()
         ]
-    return runs, place_of(fact for mine in facts.values() for fact in mine.values())
+    return runs, place_of(fact for policy_facts in facts.values() for fact in policy_facts.values())
 
 
 def place_of(facts: Iterable[EpisodeFacts]) -> Place | None:
@@ -106,7 +106,7 @@ def _scenes(
     taken: set[str] = set()
     scenes: dict[str, dict[str, str]] = {}
     for name, result in found.items():
-        mine = scenes[name] = {}
+        keys = scenes[name] = {}
         for episode in result.results:
             known = facts[name].get(episode.episode_id)
             met = known.scene if known is not None and known.scene else f"{name} {episode.episode_id}"
@@ -114,7 +114,7 @@ def _scenes(
                 plain = str(episode.index)
                 names[met] = plain if plain not in taken else f"{plain} of {name}"
                 taken.add(names[met])
-            mine[episode.episode_id] = names[met]
+            keys[episode.episode_id] = names[met]
     return scenes
 
 

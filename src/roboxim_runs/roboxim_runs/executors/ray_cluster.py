@@ -208,9 +208,13 @@ class _RayPlace:
         facts = self._answer(self._actor.facts.remote(), PLACED_S, waiting_for="a node with free resources")
         self._placed = True
         self._placed_workers.change(1)
-        ours = software()
-        if facts["software"] != ours:
-            changes = [f"{n}: {v} there, {ours[n]} here" for n, v in facts["software"].items() if v != ours[n]]
+        local_software = software()
+        if facts["software"] != local_software:
+            changes = [
+                f"{n}: {v} there, {local_software[n]} here"
+                for n, v in facts["software"].items()
+                if v != local_software[n]
+            ]
             raise ConfigError(
                 f"the node {facts['host']} has other software, so its episodes may differ: {'; '.join(changes)}; "
                 "install the same on all machines"

@@ -107,9 +107,9 @@ class RayWorker:
                 run = stack.enter_context(register_run("ray-worker", domain=domain, namespaces=(f"/w{self._number}",)))
                 logs = Path(tempfile.gettempdir()) / "roboxim-ray-logs" / run.id
                 logs.mkdir(parents=True, exist_ok=True)
-                ours = {**self._work.environment, **transport_environment(False)}
-                ours |= {"ROS_DOMAIN_ID": str(domain), "ROBOXIM_RUN": run.id, **_node_address()}
-                work = replace(self._work, environment=ours)
+                environment = {**self._work.environment, **transport_environment(False)}
+                environment |= {"ROS_DOMAIN_ID": str(domain), "ROBOXIM_RUN": run.id, **_node_address()}
+                work = replace(self._work, environment=environment)
                 process = WorkerProcess(
                     work, self._number, self._closing, log_dir=logs, stall_s=self._stall_s, inherited=_environment(),
                     folder=self._folder,

@@ -98,14 +98,14 @@ class WorkerProcess:
 
     def _spawned(self) -> Spawned:
         def make() -> Spawned:
-            ours, theirs = Pipe()
-            with theirs, open(self.log, "ab") as output:
+            own_end, child_end = Pipe()
+            with child_end, open(self.log, "ab") as output:
                 process = spawn(
-                    "roboxim_runs.executors.worker", [str(theirs.fileno())], output=output,
-                    environment=environment, inherited=self._inherited, pass_fds=[theirs.fileno()],
+                    "roboxim_runs.executors.worker", [str(child_end.fileno())], output=output,
+                    environment=environment, inherited=self._inherited, pass_fds=[child_end.fileno()],
                     folder=self._folder,
                 )  # fmt: skip
-            return process, ours
+            return process, own_end
 
         if self._kept is None:
             environment = self._work.environment

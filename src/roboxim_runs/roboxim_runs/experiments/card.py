@@ -228,8 +228,11 @@ def _evaluations(design: Design, results: Mapping[str, Mapping[Scene, EpisodeRes
             condition=evaluation.condition, replicate=evaluation.replicate, checkpoint=evaluation.checkpoint,
             seed=stages[name].inputs["seed"], results_sha256=results_sha256(rows),
             by_cell={
-                cell: (sum(r.outcome == "success" for r in mine), len(mine), sum(r.outcome == "error" for r in mine))
-                for cell, mine in sorted(by_cell.items())
+                cell: (
+                    sum(r.outcome == "success" for r in of_cell), len(of_cell),
+                    sum(r.outcome == "error" for r in of_cell),
+                )
+                for cell, of_cell in sorted(by_cell.items())
             },
         )  # fmt: skip
 

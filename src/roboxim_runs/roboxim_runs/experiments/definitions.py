@@ -56,7 +56,7 @@ def definitions(design: Design) -> dict[str, str]:
         ConfigError: When a file is missing or invalid.
     """
     library = ModelLibrary()
-    tasks = [task for mine in tasks_of(design).values() for task in mine]
+    tasks = [task for cell_tasks in tasks_of(design).values() for task in cell_tasks]
     scenes = {name: load_config(named_config("scenes", name), SceneSpec) for name in {task.scene for task in tasks}}
     cameras = {name for task in tasks for name in _cameras(task)}
     models = {scene.robot.model for scene in scenes.values()}

@@ -237,14 +237,14 @@ def with_pages(out: Path, episodes: Sequence[Episode], shown: Sequence[int]) -> 
         old.unlink()
     paged = list(episodes)
     for number in shown:
-        mine = episodes[number]
-        met = (episodes[other] for other in shown if episodes[other].scene_key == mine.scene_key)
-        bag = out / mine.bag
+        episode = episodes[number]
+        met = (episodes[other] for other in shown if episodes[other].scene_key == episode.scene_key)
+        bag = out / episode.bag
         address = write_episode_page(
-            bag, out, run=bag.parent.parent, name=_page_name(mine), film=FilmOptions(), shown_as=bag,
-            others={_page_name(one): out / one.bag for one in met if one.arm != mine.arm},
+            bag, out, run=bag.parent.parent, name=_page_name(episode), film=FilmOptions(), shown_as=bag,
+            others={_page_name(one): out / one.bag for one in met if one.arm != episode.arm},
         )  # fmt: skip
-        paged[number] = replace(mine, page=address)
+        paged[number] = replace(episode, page=address)
     forget_episodes()
     return paged
 
@@ -335,14 +335,14 @@ def _episodes(
     order = {cell.key: number for number, cell in enumerate(folder.design.cells)}
     found = []
     for (cell, number), result in sorted(rows.items(), key=lambda item: (order[item[0][0]], item[0][1])):
-        mine = facts.get(result.episode_id)
+        known = facts.get(result.episode_id)
         bag = run / result.bag if result.bag else None
         found.append(Episode(
             arm=arm, replicate=replicate, cell=cell, scene=str(number), outcome=result.outcome,
             reason=result.reason, message=result.message, instruction=result.instruction, steps=result.steps,
             bag=bag.relative_to(folder.path).as_posix() if bag is not None and bag.exists() else "",
-            start=mine.start if mine else None, explanation=mine.explanation if mine else "",
-            drawn=recorded_factors(mine.drawn, mine.start) if mine else {},
+            start=known.start if known else None, explanation=known.explanation if known else "",
+            drawn=recorded_factors(known.drawn, known.start) if known else {},
         ))  # fmt: skip
     return found
 
@@ -404,10 +404,14 @@ def _given(folder: ExperimentFolder) -> dict[str, PolicySpec]:
         if follows is None or _portable(follows) != _portable(stored):
             given[stage.name.removeprefix("evaluate/")] = PolicySpec(spec=stored.spec, options=stored.options)
     for name in config.conditions:
-        mine = {key: policy for key, policy in given.items() if _condition(key) == name}
-        one = next(iter(mine.values()), None)
-        if one is not None and len(mine) == config.replicates.count and all(other == one for other in mine.values()):
-            given = {key: policy for key, policy in given.items() if key not in mine} | {name: one}
+        matching = {key: policy for key, policy in given.items() if _condition(key) == name}
+        one = next(iter(matching.values()), None)
+        if (
+            one is not None
+            and len(matching) == config.replicates.count
+            and all(other == one for other in matching.values())
+        ):
+            given = {key: policy for key, policy in given.items() if key not in matching} | {name: one}
     return given
 
 

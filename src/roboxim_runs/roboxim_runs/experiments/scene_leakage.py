@@ -35,15 +35,19 @@ def scene_leakage(design: Design) -> tuple[str, ...]:
 
 
 def _objects_revealed(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
-    revealing = [name for name, mine in tasks.items() if not any(t.distractors.maximum for t in mine) and _vary(mine)]
+    revealing = [
+        name
+        for name, cell_tasks in tasks.items()
+        if not any(t.distractors.maximum for t in cell_tasks) and _vary(cell_tasks)
+    ]
     if revealing:
         where = "No scene" if len(revealing) == len(tasks) else f"No scene of {' and '.join(revealing)}"
         yield f"{where} has distractors, so that the scene alone tells which object is meant."
 
 
 def _places_revealed(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
-    named = {model for mine in tasks.values() for task in mine for model in _named(task)}
-    wider = [name for name, mine in tasks.items() if any(_lie_elsewhere(task) & named for task in mine)]
+    named = {model for cell_tasks in tasks.values() for task in cell_tasks for model in _named(task)}
+    wider = [name for name, cell_tasks in tasks.items() if any(_lie_elsewhere(task) & named for task in cell_tasks)]
     if wider:
         yield (
             f"Distractors of {' and '.join(wider)} may lie outside the area of the objects that tasks name, so that "
@@ -64,10 +68,12 @@ def _vary(tasks: Sequence[TaskConfig]) -> bool:
 
 
 def _tasks_revealed(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
-    for name, mine in tasks.items():
-        elsewhere = {model for other, theirs in tasks.items() if other != name for t in theirs for model in _models(t)}
-        for role in mine[0].objects:
-            own = {str(model) for task in mine for model in task.objects[role].models.values}
+    for name, cell_tasks in tasks.items():
+        elsewhere = {
+            model for other, other_tasks in tasks.items() if other != name for t in other_tasks for model in _models(t)
+        }
+        for role in cell_tasks[0].objects:
+            own = {str(model) for task in cell_tasks for model in task.objects[role].models.values}
             if len(tasks) > 1 and not own & elsewhere:
                 has = " or ".join(sorted(model.replace("_", " ") for model in own))
                 yield f"Scenes of {name} alone have the {role} {has}, so that the scene alone tells this task."

@@ -26,7 +26,7 @@ from roboxim_runs.policies.server_worker import POLICY_KEY
 SERVED = "roboxim_policies.served:ServedPolicy"
 STABLE_S = 600.0
 """A server that served for so long before it died may die again; one that dies at once three times ends the run [s]."""
-SHARE_OF_PATIENCE = 0.75
+SHARE_OF_TIMEOUT = 0.75
 """Deadline of an answer, as a share of the evaluator's: so a late server is named."""
 
 
@@ -50,7 +50,7 @@ def behind_server(work: Work, url: str, description: Mapping[str, Any], key: str
     graph = work.settings["graph"]
     options = {
         "url": url, "description": description, "key_env": POLICY_KEY,
-        "timeout_s": SHARE_OF_PATIENCE * work.settings["config"]["policy_timeout_s"],
+        "timeout_s": SHARE_OF_TIMEOUT * work.settings["config"]["policy_timeout_s"],
     }  # fmt: skip
     launches = [{**launch, "spec": SERVED, "options": options} for launch in graph["policies"]]
     return replace(

@@ -22,7 +22,7 @@ LOSSES = 3
 CONTINUES = "No episode that was not played is counted; start the server again, and the same command continues"
 
 
-class Patience:
+class Retries:
     """Retries of one worker for the policy of one episode."""
 
     def __init__(self, wait_s: float, clock: Callable[[], float] = time.monotonic) -> None:

@@ -200,11 +200,11 @@ class _Episode:
 
     def same_bag(self, other: _Episode) -> bool:
         """Return whether another folder's bag of the episode has the same content."""
-        mine, theirs = self.run.path / self.result.bag, other.run.path / other.result.bag
-        if self.result.bag and mine.is_dir() and theirs.is_dir():
-            files = sorted(file.name for file in mine.iterdir())
-            if files == sorted(file.name for file in theirs.iterdir()) and all(
-                (mine / name).samefile(theirs / name) for name in files
+        own_bag, other_bag = self.run.path / self.result.bag, other.run.path / other.result.bag
+        if self.result.bag and own_bag.is_dir() and other_bag.is_dir():
+            files = sorted(file.name for file in own_bag.iterdir())
+            if files == sorted(file.name for file in other_bag.iterdir()) and all(
+                (own_bag / name).samefile(other_bag / name) for name in files
             ):
                 return True  # linked by an earlier merge
         return self.content() == other.content()

@@ -15,7 +15,7 @@ from roboxim_runs.evaluation.checks import require_played
 from roboxim_runs.evaluation.results import PolicyResult
 from roboxim_runs.events import Notice
 from roboxim_runs.executors import InlineExecutor, Note
-from roboxim_runs.policies.waiting import LOSSES, Patience, Waiting
+from roboxim_runs.policies.waiting import LOSSES, Retries, Waiting
 from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.storage.state import run_state
 
@@ -28,33 +28,33 @@ def lost(steps=0, reason="policy_died", index=0):
 
 def test_patience_ends_after_its_time_however_many_tries():
     now = [100.0]
-    patience = Patience(60.0, clock=lambda: now[0])
-    assert not patience.tried
+    retries = Retries(60.0, clock=lambda: now[0])
+    assert not retries.tried
     pauses = []
 
     def wait_for_ever():
         while True:
-            pauses.append(patience.lost(lost()))
+            pauses.append(retries.lost(lost()))
             now[0] += pauses[-1]
 
     with pytest.raises(UnavailableError, match=r"stayed away for 60 s \(--server-wait.*gone.*same command continues"):
         wait_for_ever()
     assert pauses[:6] == [0.5, 1, 2, 4, 8, 10]
     assert sum(pauses) == pytest.approx(60.0)
-    assert patience.tried
+    assert retries.tried
     with pytest.raises(UnavailableError, match="stayed away for 0 s"):
-        Patience(0.0).lost(lost())
+        Retries(0.0).lost(lost())
 
 
 def test_server_that_ends_in_mid_episode_again_and_again_ends_the_run():
     now = [0.0]
-    patience = Patience(60.0, clock=lambda: now[0])
+    retries = Retries(60.0, clock=lambda: now[0])
     for _ in range(LOSSES - 1):
-        assert patience.lost(lost(steps=7)) == 0.5, "it was there, so the time begins anew"
+        assert retries.lost(lost(steps=7)) == 0.5, "it was there, so the time begins anew"
         now[0] += 59.0
-        patience.lost(lost())
+        retries.lost(lost())
     with pytest.raises(UnavailableError, match="lost 3 times in the middle of episode eval-0-00000-0"):
-        patience.lost(lost(steps=7))
+        retries.lost(lost(steps=7))
 
 
 def test_waiting_of_several_workers_is_told_once():

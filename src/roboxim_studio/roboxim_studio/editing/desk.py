@@ -189,12 +189,12 @@ class Desk:
             listener()
         self._bench.do(self._quick, newest_of="quick checks")
         self._bench.do(self._draw, newest_of="pictures")
-        return self._bench.do(self._whole, newest_of="checks")
+        return self._bench.do(self._full_check, newest_of="checks")
 
     def _quick(self) -> None:
         self._set(self.check(slow=False))
 
-    def _whole(self) -> Checks:
+    def _full_check(self) -> Checks:
         checks = self.check()
         self._set(checks)
         if checks.valid and checks.of == self.history.now:

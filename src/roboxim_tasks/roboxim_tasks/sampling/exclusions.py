@@ -29,8 +29,8 @@ def taken(name: str, choice: Choice, allowed: Mapping[str, ModifierModel]) -> Ch
         choice: The task's choice.
         allowed: Values that the model allows.
     """
-    mine = choice.only(allowed[name].words(name)) if name in allowed and name in SPOKEN else choice
-    return mine if name in allowed or name in PHYSICAL else None
+    remaining = choice.only(allowed[name].words(name)) if name in allowed and name in SPOKEN else choice
+    return remaining if name in allowed or name in PHYSICAL else None
 
 
 def matches(objects: Mapping[str, PhysicalObject], combination: Combination, library: ModelLibrary) -> bool:

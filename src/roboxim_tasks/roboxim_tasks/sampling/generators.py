@@ -128,9 +128,11 @@ def generate_object(
     allowed = context.library.object_modifiers(model)
     drawn = {}
     for name, choice in modifiers.items():
-        mine = taken(name, choice, allowed)
-        if mine is not None:
-            drawn[name] = mine.draw(context.seed.rng(f"{entity}/{name}{suffix}"), context.index + steps.get(name, 0))
+        remaining = taken(name, choice, allowed)
+        if remaining is not None:
+            drawn[name] = remaining.draw(
+                context.seed.rng(f"{entity}/{name}{suffix}"), context.index + steps.get(name, 0)
+            )
     noun = context.library.object(model, drawn).name
     return PhysicalObject(entity=entity, model=model, name=noun, modifiers=drawn)
 
@@ -232,8 +234,8 @@ def _refusal(
     library = context.library
     drawn = {**objects, **another}
     wording = context.wording
-    for mine, other in itertools.product(another.items(), objects.items()):
-        if not wording.distinct(mine, other):
+    for first, second in itertools.product(another.items(), objects.items()):
+        if not wording.distinct(first, second):
             return "objects_distinct"
     if not all(wording.true_to(role, thing, thing) for role, thing in another.items()):
         return "size_true"

@@ -77,16 +77,16 @@ class Sequence(Skill):
     def check(self, parameters: Any, models: Mapping[str, Many[ObjectModel]]) -> None:
         """Refuse steps whose parameters do not suit the objects."""
         for step, skill in zip(self.steps, self.skills, strict=True):
-            mine = {own: models[role] for own, role in step.roles.items()}
+            step_models = {own: models[role] for own, role in step.roles.items()}
             for drawn in _combinations(step):
-                skill.check(replace(step.parameters, **drawn), mine)
+                skill.check(replace(step.parameters, **drawn), step_models)
 
     def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
         """Return why models do not go together in some step; empty if they do."""
         for number, (step, skill) in enumerate(zip(self.steps, self.skills, strict=True), start=1):
-            mine = {own: models[role] for own, role in step.roles.items()}
+            step_models = {own: models[role] for own, role in step.roles.items()}
             for drawn in _combinations(step):
-                if reason := skill.mismatch(replace(step.parameters, **drawn), mine):
+                if reason := skill.mismatch(replace(step.parameters, **drawn), step_models):
                     return f"step {number}: {reason}"
         return ""
 
@@ -96,9 +96,9 @@ class Sequence(Skill):
         wording = replace(context, text=self._instruction(context.template, contexts))
         objects = generate_objects(wording)
         tasks = []
-        for step, skill, mine in zip(self.steps, self.skills, contexts, strict=True):
+        for step, skill, step_context in zip(self.steps, self.skills, contexts, strict=True):
             given = {own: objects[role] for own, role in step.roles.items()}
-            tasks.append((skill.generate(replace(mine, given=given)), step.roles))
+            tasks.append((skill.generate(replace(step_context, given=given)), step.roles))
         words = {f"step_{n}": _lower_first(task.instruction) for n, (task, _) in enumerate(tasks, start=1)}
         sentence = context.template.format_map({role: description(thing) for role, thing in objects.items()} | words)
         stay_m = context.config.distractors.stay_m

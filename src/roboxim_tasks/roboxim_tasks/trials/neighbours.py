@@ -103,12 +103,12 @@ def both(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     for grasp, goal in own_ways(scene):
         for side in (0.07, -0.07):
             way = scene.pose_of(place).rotation.apply((side, 0.0, 0.0))
-            other, mine = displaced(goal, *way.tolist()), displaced(goal, *(-way).tolist())
+            other, target_pose = displaced(goal, *way.tolist()), displaced(goal, *(-way).tolist())
             now = scene.pose_of(OTHER)
             script = Script(scene)
             moved_over(script, OTHER, replace(now, position=(*other.position[:2], height)), onto=place)
             script.pick("target", grasp)
-            script.place(mine, onto=place, drop_m=lowest_m(scene))
+            script.place(target_pose, onto=place, drop_m=lowest_m(scene))
             yield script.stages
 
 

@@ -139,11 +139,11 @@ def against_the_reference(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Put it down so close that it touches the side of the reference."""
     toward = direction(scene)
     here, model = scene.pose_of("reference"), scene.model_of("reference")
-    mine = scene.model_of("target")
+    target_model = scene.model_of("target")
     for slope in (0.0, 0.3, -0.3):
         way = toward + slope * across(toward)
         for grasp, goal in own_ways(scene):
-            far = extent(model, here, way) + extent(mine, goal, -way) + 0.001
+            far = extent(model, here, way) + extent(target_model, goal, -way) + 0.001
             script = Script(scene)
             script.pick("target", grasp)
             script.place(replace(goal, position=(*beside(scene, "target", "reference", far * way).position[:2],

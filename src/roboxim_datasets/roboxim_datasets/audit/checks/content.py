@@ -63,19 +63,19 @@ class Content(AuditCheck):
             raise CannotCheckError(episode.no_expected)
         found, expected = episode.episode, episode.expected
         yield from _texts(episode.name, found, expected)
-        mine, theirs = _table(found), _table(expected)
-        yield from self._numbers(episode.name, mine, theirs)
+        actual, reference = _table(found), _table(expected)
+        yield from self._numbers(episode.name, actual, reference)
         if len(found) == len(expected):
             yield from _images(episode)
         if len(self._known) < REMEMBERED:
-            self._known.setdefault(theirs.values["action"].tobytes(), episode.name)
+            self._known.setdefault(reference.values["action"].tobytes(), episode.name)
 
-    def _numbers(self, name: str, mine: _Table, theirs: _Table) -> Iterator[Finding]:
-        for key in sorted(mine.values.keys() ^ theirs.values.keys()):
-            where = "nothing that should be there" if key in mine.values else "missing"
+    def _numbers(self, name: str, actual: _Table, reference: _Table) -> Iterator[Finding]:
+        for key in sorted(actual.values.keys() ^ reference.values.keys()):
+            where = "nothing that should be there" if key in actual.values else "missing"
             yield Finding(text=f"{key} is {where}", episodes=(name,))
-        for key in sorted(mine.values.keys() & theirs.values.keys()):
-            values, wanted = mine.values[key], theirs.values[key]
+        for key in sorted(actual.values.keys() & reference.values.keys()):
+            values, wanted = actual.values[key], reference.values[key]
             if values.shape == wanted.shape and same_bits(values, wanted):
                 continue
             if values.shape[1:] != wanted.shape[1:]:
@@ -87,9 +87,9 @@ class Content(AuditCheck):
             bad = np.flatnonzero((values[:count] != wanted[:count]).any(axis=1))
             if not len(bad):
                 continue  # the length differs, which is said
-            guess = self._guess(key, values, theirs, bad)
+            guess = self._guess(key, values, reference, bad)
             component = int((values[bad[0]] != wanted[bad[0]]).argmax())
-            label = theirs.names[key][component]
+            label = reference.names[key][component]
             yield Finding(
                 text=f"{key} differs in {len(bad)} of {len(wanted)} ticks, first at tick {bad[0]}: {label} is "
                 f"{values[bad[0], component]:.6g}, expected {wanted[bad[0], component]:.6g}{guess}",
@@ -98,11 +98,11 @@ class Content(AuditCheck):
                 series={f"{label}": tuple(values[:, component]), f"{label} expected": tuple(wanted[:, component])},
             )
 
-    def _guess(self, key: str, values: Floats, theirs: _Table, bad: Any) -> str:
-        wanted = theirs.values[key]
+    def _guess(self, key: str, values: Floats, reference: _Table, bad: Any) -> str:
+        wanted = reference.values[key]
         if key == "action" and values.tobytes() in self._known:
             return f"; likeliest: those of episode {self._known[values.tobytes()]}"
-        for other, rows in theirs.values.items():
+        for other, rows in reference.values.items():
             if other != key and rows.shape == values.shape and same_bits(rows, values):
                 return f"; likeliest: exchanged with {other}"
         if len(values) != len(wanted):
@@ -113,7 +113,7 @@ class Content(AuditCheck):
             return "; likeliest: numbers that are not finite"
         if len(bad) > 1 and (values[bad] == values[bad[0]]).all():
             return "; likeliest: one tick is repeated"
-        words = likeliest(edited, right, theirs.names[key])
+        words = likeliest(edited, right, reference.names[key])
         return f"; likeliest: {words}" if words else "; likeliest: other values"
 
 
@@ -168,13 +168,13 @@ def _images(episode: AuditEpisode) -> Iterator[Finding]:
     bad: dict[str, list[int]] = {camera: [] for camera in shared}
     seen: dict[str, list[Values]] = {camera: [] for camera in shared}
     wanted: dict[str, list[Values]] = {camera: [] for camera in shared}
-    for mine, theirs in zip(found.steps(shared), expected.steps(shared), strict=True):
+    for actual, reference in zip(found.steps(shared), expected.steps(shared), strict=True):
         for camera in shared:
-            pair = mine.images[camera], theirs.images[camera]
+            pair = actual.images[camera], reference.images[camera]
             seen[camera].append(_colours(pair[0]))
             wanted[camera].append(_colours(pair[1]))
-            if _differ(mine, theirs, camera, seen[camera][-1], wanted[camera][-1], lossless=episode.lossless):
-                bad[camera].append(mine.index)
+            if _differ(actual, reference, camera, seen[camera][-1], wanted[camera][-1], lossless=episode.lossless):
+                bad[camera].append(actual.index)
     for camera, ticks in bad.items():
         if ticks:
             yield Finding(
@@ -189,12 +189,12 @@ def _colours(image: np.ndarray) -> Values:
     return np.stack([cells_of(image[:, :, channel].astype(np.float32)) for channel in range(3)])
 
 
-def _differ(mine: Step, theirs: Step, camera: str, seen: Values, wanted: Values, *, lossless: bool) -> bool:
-    if mine.images[camera].shape != theirs.images[camera].shape:
+def _differ(actual: Step, reference: Step, camera: str, seen: Values, wanted: Values, *, lossless: bool) -> bool:
+    if actual.images[camera].shape != reference.images[camera].shape:
         return True
     if lossless:
-        return not np.array_equal(mine.images[camera], theirs.images[camera])
-    mean = np.square(mine.images[camera].astype(np.float32) - theirs.images[camera]).mean()
+        return not np.array_equal(actual.images[camera], reference.images[camera])
+    mean = np.square(actual.images[camera].astype(np.float32) - reference.images[camera]).mean()
     too_noisy = mean > 255.0**2 / 10.0 ** (LOWEST_DB / 10.0)
     return bool(too_noisy or np.abs(_blocks(seen) - _blocks(wanted)).max() > BLOCK)
 

@@ -89,10 +89,10 @@ class RecordedTask(AuditCheck):
 
     def conclude(self) -> Iterator[Finding]:
         """Compare the tasks."""
-        strange = {seen.name: usual for seen, usual in _strange_in_run(self._seen)}
+        differing = {seen.name: usual for seen, usual in _different_in_run(self._seen)}
         for seen in self._seen:
-            if seen.name in strange:
-                text = f"its recorded skill is '{seen.skill}', all others of its run are of '{strange[seen.name]}'"
+            if seen.name in differing:
+                text = f"its recorded skill is '{seen.skill}', all others of its run are of '{differing[seen.name]}'"
                 yield Finding(text=text, episodes=(seen.name,), ticks=(0,))
         groups = defaultdict(list)
         for seen in self._seen:
@@ -101,7 +101,7 @@ class RecordedTask(AuditCheck):
         if sum(map(len, shared)) > max(2, MAX_SHARED * len(self._seen)):
             return
         for group in shared:
-            rest = [seen for seen in group if seen.name not in strange]
+            rest = [seen for seen in group if seen.name not in differing]
             if len(rest) > 1:
                 yield self._of_shared(rest)
 
@@ -127,7 +127,7 @@ class RecordedTask(AuditCheck):
         return alone[0] if len(alone) == 1 else ""
 
 
-def _strange_in_run(seen: Sequence[_Seen]) -> Iterator[tuple[_Seen, str]]:
+def _different_in_run(seen: Sequence[_Seen]) -> Iterator[tuple[_Seen, str]]:
     """Yield episodes whose skill no other one of their run has, with the skill that all others share."""
     runs = defaultdict(list)
     for one in seen:

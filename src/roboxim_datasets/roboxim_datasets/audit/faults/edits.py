@@ -32,10 +32,10 @@ class WrongInstruction(DatasetFault):
 
     def edit(self, episode: EditableEpisode, others: Sequence[Episode], rng: np.random.Generator) -> str:
         """Take the instruction of an episode with another task."""
-        mine = _task(episode.episode)
+        own_task = _task(episode.episode)
         for place in rng.permutation(len(others)):
             other = others[int(place)]
-            if other.instruction != episode.instruction and (_task(other) != mine or not mine):
+            if other.instruction != episode.instruction and (_task(other) != own_task or not own_task):
                 before, episode.instruction = episode.instruction, other.instruction
                 return f"'{other.instruction}' instead of '{before}'"
         return ""

@@ -119,10 +119,11 @@ def differences(change: Change, shown: Shown, right: Shown, condition: str) -> I
     for aspect in ASPECTS:
         if aspect in change.may:
             continue
-        mine, theirs = _values(aspect, shown), _values(aspect, right)
-        for name in dict.fromkeys((*mine, *theirs)):
-            if mine.get(name) != theirs.get(name):
-                yield f"{name} is {mine.get(name, 'missing')}, with '{condition}' it is {theirs.get(name, 'missing')}"
+        actual, expected = _values(aspect, shown), _values(aspect, right)
+        for name in dict.fromkeys((*actual, *expected)):
+            if actual.get(name) != expected.get(name):
+                value, usual = actual.get(name, "missing"), expected.get(name, "missing")
+                yield f"{name} is {value}, with '{condition}' it is {usual}"
     if "start" not in change.may and not (far := _apart(shown.start, right.start)) <= SAME_M:
         yield f"the tool starts {1000 * far:.1f} mm from where it does with '{condition}'"
     if "places" not in change.may:
@@ -155,9 +156,9 @@ def shown_difference(change: Change, shown: Shown, right: Shown) -> str:
         right: The unchanged one.
     """
     for aspect in IN_PICTURES:
-        mine, theirs = _values(aspect, shown), _values(aspect, right)
-        for name in dict.fromkeys((*mine, *theirs)) if aspect in change.may else ():
-            if mine.get(name) != theirs.get(name):
+        actual, expected = _values(aspect, shown), _values(aspect, right)
+        for name in dict.fromkeys((*actual, *expected)) if aspect in change.may else ():
+            if actual.get(name) != expected.get(name):
                 return name
     return "the start of the tool" if "start" in change.may and _apart(shown.start, right.start) > SAME_M else ""
 

@@ -103,7 +103,7 @@ def arm_maps(
         pair: The arms of the differences; none: no such map.
         link: Arms and key of a cell to the field's link.
     """
-    maps = [rate_map(arm, cells, mine, partial(link, (arm,))) for arm, mine in counts.items()]
+    maps = [rate_map(arm, cells, arm_counts, partial(link, (arm,))) for arm, arm_counts in counts.items()]
     if pair is not None:
         first, second = pair
         heading = f"{first} - {second}, points"

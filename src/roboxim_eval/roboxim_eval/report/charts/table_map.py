@@ -134,12 +134,12 @@ def table_maps(starts: Mapping[str, Sequence[Start]], place: Place | None = None
         starts: Arm to its episodes; at least one each.
         place: Where robot and table are; none: unknown.
     """
-    grid = Grid.of([s for mine in starts.values() for s in mine], max(map(len, starts.values())))
+    grid = Grid.of([s for arm_starts in starts.values() for s in arm_starts], max(map(len, starts.values())))
     return {
-        "pictures": {arm: table_map(mine, grid, place) for arm, mine in starts.items()},
+        "pictures": {arm: table_map(arm_starts, grid, place) for arm, arm_starts in starts.items()},
         "square_cm": 100 * grid.side,
         "keys": [(text, mark_key(success)) for text, success in (("success", True), ("no success", False))]
-        if any(len(mine) <= MAX_DOTS for mine in starts.values()) else [],
+        if any(len(arm_starts) <= MAX_DOTS for arm_starts in starts.values()) else [],
     }  # fmt: skip
 
 
@@ -239,9 +239,9 @@ def _squares(starts: Sequence[Start], grid: Grid, view: View) -> list[Markup]:
         place = int((s.x - grid.low_x) // grid.side), int((s.y - grid.low_y) // grid.side)
         inside.setdefault(place, []).append(s)
     parts = []
-    for (row, column), mine in sorted(inside.items()):
+    for (row, column), square in sorted(inside.items()):
         left = view.across(grid.low_y + (column + 1) * grid.side)
-        parts += _square(left, view.down(grid.low_x + (row + 1) * grid.side), grid.side * view.scale, mine)
+        parts += _square(left, view.down(grid.low_x + (row + 1) * grid.side), grid.side * view.scale, square)
     return parts
 
 

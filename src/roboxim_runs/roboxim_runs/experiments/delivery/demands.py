@@ -128,8 +128,8 @@ def _others(config: TaskConfig, body: BodyConfig) -> dict[str, dict[str, Allowed
     found = {}
     for model in map(str, config.distractors.models.drawable if config.distractors.maximum else ()):
         known = _library().object_modifiers(model)
-        mine = {name: taken(name, choice, known) for name, choice in config.distractors.modifiers.items()}
-        found[model] = _modifiers({name: choice for name, choice in mine.items() if choice is not None}, body)
+        drawn = {name: taken(name, choice, known) for name, choice in config.distractors.modifiers.items()}
+        found[model] = _modifiers({name: choice for name, choice in drawn.items() if choice is not None}, body)
     return found
 
 

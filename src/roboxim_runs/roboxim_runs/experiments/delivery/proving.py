@@ -287,9 +287,9 @@ def _changed(arms: Sequence[ArmClaim], demands: Mapping[str, Mapping[str, Demand
     plain = next((named[arm.condition] for arm in arms if not arm.changed), {})
 
     def other(arm: ArmClaim) -> bool:
-        mine = named[arm.condition]
+        roles = named[arm.condition]
         return not {"templates", "paraphrases", "wordings"}.isdisjoint(arm.changed) and any(
-            len(mine[cell]) != 1 or mine[cell] != plain[cell] for cell in mine.keys() & plain.keys()
+            len(roles[cell]) != 1 or roles[cell] != plain[cell] for cell in roles.keys() & plain.keys()
         )
 
     return {arm.condition: arm.changed + ((WORDS_SAY_OTHER_ROLES,) if other(arm) else ()) for arm in arms}

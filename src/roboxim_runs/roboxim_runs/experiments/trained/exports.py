@@ -25,14 +25,14 @@ OURS = (
 """Options of an export that the experiment decides."""
 
 
-def export_config(form: str, options: Mapping[str, Any], *, source: str = "dataset", **ours: Any) -> Selection:
+def export_config(form: str, options: Mapping[str, Any], *, source: str = "dataset", **fixed: Any) -> Selection:
     """Return the configuration of a dataset's export.
 
     Args:
         form: Registered format, e.g. ``rlds``.
         options: Options of the trainer and of the dataset, by the names of the format's configuration.
         source: What the options belong to, for messages.
-        **ours: Those that the experiment decides, ``where`` and ``per_cell``; none: only to check the options.
+        **fixed: Those that the experiment decides, ``where`` and ``per_cell``; none: only to check the options.
 
     Raises:
         ConfigError: When there is no such format, option or convention, or a value is wrong.
@@ -44,7 +44,7 @@ def export_config(form: str, options: Mapping[str, Any], *, source: str = "datas
         if name in OURS:
             raise ConfigError(f"{source}: the experiment decides about '{name}', which episodes a dataset has")
     try:
-        config: Selection = from_plain({**options, "val_fraction": 0.0, **ours}, kind, source=source)
+        config: Selection = from_plain({**options, "val_fraction": 0.0, **fixed}, kind, source=source)
     except InvalidRequestError as error:
         raise ConfigError(f"{source}: {error}") from None
     if config.convention:
