@@ -27,6 +27,8 @@ libraries of 2.5 GB (see `scripts/torch_on_cpu.py`), input devices, viewers. tor
 UNUSED_BY_RT1 = ("pygame", "tensorflow==")
 """Prefixes of packages that tf-agents and tensorflow-text require but that a policy does not import: games, and the
 package tensorflow, whose place tensorflow-cpu takes."""
+UNUSED_BY_ROBOTS = ("glfw", "mujoco", "pyopengl", "trossen-arm==")
+"""Prefixes of packages that trossen-arm-sim requires but that reading its MJCF does not import."""
 OTHER_FOR_SCALE = ("python-dateutil",)
 """Packages of which botocore (S3) needs another version than dev.lock has."""
 
@@ -77,7 +79,8 @@ def lock_added(name: str, *options: str) -> None:
         file.write("\n".join(constraints))
         file.flush()
         there = tuple(f"{constraint} " for constraint in constraints)
-        lock(name, group(name), "--constraints", file.name, *options, without=there)
+        unused = UNUSED_BY_ROBOTS if name == "robots" else ()
+        lock(name, group(name), "--constraints", file.name, *options, without=(*there, *unused))
 
 
 def main() -> None:

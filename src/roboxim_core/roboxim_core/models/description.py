@@ -387,13 +387,18 @@ class RobotModel:
     """Largest motor torque used by the sim [N m]."""
     close_pairs: tuple[ClosePair, ...] = ()
     """Pairs of links that the planner checks with finer geometry."""
+    stand: tuple[float, ...] = ()
+    """Rectangle on the table that the arm's stand covers, in the base: least x and y, greatest x and y [m]. Objects are
+    placed off it. Empty: the arm stands beside the table."""
 
     def __post_init__(self) -> None:
-        """Check that every list has one number per joint.
+        """Check that every list has one number per joint, and the stand.
 
         Raises:
             ConfigError: Naming the list.
         """
+        if self.stand and (len(self.stand) != 4 or self.stand[0] >= self.stand[2] or self.stand[1] >= self.stand[3]):
+            raise ConfigError(f"stand: expected least x, least y, greatest x, greatest y, got {list(self.stand)}")
         lists = {
             **asdict(self.limits),
             "home": self.home,

@@ -7,7 +7,6 @@ checks leave out are found by sampling. `roboxim robot check` then proves the re
 
 from __future__ import annotations
 
-import contextlib
 import math
 import re
 import shutil
@@ -31,7 +30,9 @@ from roboxim_runs.robots.gripper_derivation import plain
 from roboxim_runs.robots.grippers import Gripper, below, gripper, mounted
 from roboxim_runs.robots.home import home_of, same_place
 from roboxim_runs.robots.link_meshes import LinkMeshes
+from roboxim_runs.robots.reading import expanded
 from roboxim_runs.robots.recipe import NAME_PATTERN, RobotRecipe, source_file, spread
+from roboxim_runs.robots.stand import covered, root_link, stand
 
 Element = ElementTree.Element
 MOVING = ("revolute", "continuous", "prismatic")
@@ -75,6 +76,7 @@ def derive(
         tool = gripper(recipe.gripper)
         root = ElementTree.Element("robot", {"name": recipe.name})
         root.extend(list(arm.elements(inside, report)))
+        root.extend(stand(recipe, inside, arm.own(arm.base)))
         mount = ElementTree.SubElement(root, "joint", {"name": f"{recipe.name}_mount_joint", "type": "fixed"})
         ElementTree.SubElement(mount, "parent", {"link": arm.own(arm.flange)})
         ElementTree.SubElement(mount, "child", {"link": f"{recipe.name}_{tool.root.removeprefix(tool.prefix)}"})
@@ -95,7 +97,7 @@ def derive(
             values["home"] = [round(float(q), 4) for q in arm.home(scratch)]
             file.write_text(_yaml(recipe, values))
         for kept in target.glob("*") if target.is_dir() else ():
-            if kept.name in ("LICENSE", "README.md", "recipe.yaml"):
+            if kept.name in ("LICENSE", "README.md", "recipe.yaml", "derive.py"):
                 shutil.copy(kept, inside / kept.name)
         shutil.rmtree(target, ignore_errors=True)
         inside.rename(target)
@@ -204,6 +206,11 @@ class Arm:
         """Pose of the gripper in the flange."""
         return Pose.from_arrays(self.recipe.mount_xyz, Rotation.from_euler("xyz", self.recipe.mount_rpy))
 
+    @property
+    def stand(self) -> list[float]:
+        """Rectangle that the arm's stand covers, as `RobotModel.stand`."""
+        return covered(self.recipe)
+
     def own(self, name: str) -> str:
         """Return the robot's name of a link or joint."""
         return f"{self.recipe.name}_{name}"
@@ -288,7 +295,7 @@ class Arm:
         return {
             "urdf": f"{name}/{name}.urdf",
             "srdf": f"{name}/{name}.srdf",
-            "base_link": self.own(self.base),
+            "base_link": root_link(self.recipe, self.own(self.base)),
             "tcp_link": f"{name}_{tool.tcp.removeprefix(tool.prefix)}",
             "joint_names": [self.own(joint) for joint in self.joints],
             "limits": limits,
@@ -296,6 +303,7 @@ class Arm:
             "home": home,
             "position_gain": gain,
             "motor_force": motor_force,
+            **({"stand": area} if (area := self.stand) else {}),
         }
 
 
@@ -324,6 +332,11 @@ class ShippedArm(Arm):
     def mount(self) -> Pose:
         """Pose of the gripper in the flange: that of the robot's own, then the recipe's."""
         return self._at_hand @ super().mount
+
+    @property
+    def stand(self) -> list[float]:
+        """That of the robot."""
+        return list(self.model.stand)
 
     def own(self, name: str) -> str:
         """Return the robot's name of a link or joint."""
@@ -366,25 +379,6 @@ def massless() -> Element:
     ElementTree.SubElement(made, "mass", {"value": "0"})
     ElementTree.SubElement(made, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
     return made
-
-
-def expanded(path: Path) -> Element:
-    """Return the root element of a URDF or xacro file.
-
-    Raises:
-        ConfigError: When it cannot be read, or is a xacro and `xacrodoc` is not installed.
-    """
-    if b"<xacro:" not in path.read_bytes():
-        return urdf_root(path)
-    try:
-        from xacrodoc import XacroDoc
-    except ModuleNotFoundError:
-        raise ConfigError(f"{path} is a xacro; install the package that expands it: pip install xacrodoc") from None
-    try:
-        with contextlib.chdir(path.parent):  # which its includes are relative to
-            return ElementTree.fromstring(XacroDoc.from_file(path.name, resolve_packages=False).to_urdf_string())
-    except Exception as error:  # whatever the macros raise
-        raise ConfigError(f"{path} cannot be expanded: {error}") from None
 
 
 def _child(joint: Element) -> str:

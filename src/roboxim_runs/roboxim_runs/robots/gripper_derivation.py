@@ -22,9 +22,9 @@ from scipy.optimize import brentq
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.description import FollowerJoint, GripperModel
-from roboxim_core.models.urdf import urdf_root
 from roboxim_runs.robots.grippers import below
 from roboxim_runs.robots.link_meshes import LinkMeshes
+from roboxim_runs.robots.reading import expanded
 from roboxim_runs.robots.recipe import source_file
 
 Element = ElementTree.Element
@@ -87,7 +87,7 @@ def derive_gripper(
         ConfigError: When the URDF lacks a link or joint that the recipe names, or its fingers do not close.
     """
     source = source_file(recipe.urdf, folder or Path.cwd())
-    root = urdf_root(source)
+    root = expanded(source)
     kept = below(root, recipe.root)
     links = {str(link.get("name")): link for link in kept if link.tag == "link"}
     joints = {str(joint.get("name")): joint for joint in kept if joint.tag == "joint"}
@@ -297,4 +297,5 @@ def _measured(
     middle = placed((opened + closed) / 2)[0]
     center = middle.act(np.asarray(shapes[0].points()).mean(axis=0))
     driven = data.oMi[model.getJointId(recipe.joints[0])]
-    return tuple(rows), reach, float(center[2] - driven.translation[2])
+    slides = model.joints[model.getJointId(recipe.joints[0])].shortname().startswith("JointModelP")
+    return tuple(rows), reach, 1.0 if slides else float(center[2] - driven.translation[2])

@@ -103,6 +103,9 @@ def coloured(shape: Element, path: Path, materials: dict[str, Element]) -> list[
     elif item.tag == "cylinder":
         solid = trimesh.creation.cylinder(float(str(item.get("radius"))), float(str(item.get("length"))))
         parts = [(None, solid)]
+    elif item.tag == "capsule":  # of an MJCF; a URDF has none
+        solid = trimesh.creation.capsule(float(str(item.get("length"))), float(str(item.get("radius"))))
+        parts = [(None, solid)]
     elif item.tag == "sphere":
         parts = [(None, trimesh.creation.icosphere(radius=float(str(item.get("radius")))))]
     else:

@@ -18,7 +18,7 @@ class RobotRecipe:
     name: str
     """Id of the robot: lower-case letters, digits and ``_``."""
     urdf: str = ""
-    """URDF file; relative to the recipe, or ``package:DISTRIBUTION/PATH`` in an installed wheel."""
+    """URDF or MJCF file; relative to the recipe, or ``package:DISTRIBUTION/PATH`` in an installed wheel."""
     arm: str = ""
     """Robot of ``config/robots`` whose arm gets another gripper, instead of a URDF. Its limits and meshes are kept."""
     title: str = ""
@@ -27,6 +27,9 @@ class RobotRecipe:
     """Where the URDF comes from, with version and licence."""
     base: str = ""
     """Root link of the arm; empty: the root of the URDF. What lies above it is left out."""
+    base_xyz: Vec3 = (0.0, 0.0, 0.0)
+    """Where the arm's base stands in the robot's base frame [m]. A small arm stands closer to the things and higher,
+    on a pillar, while areas and poses of tasks stay those of every arm."""
     flange: str = ""
     """Link that the gripper is mounted on; empty: the last one. What lies beyond it is left out."""
     gripper: str = "franka_hand"
@@ -56,8 +59,8 @@ class RobotRecipe:
                 f"another gripper; got {'both' if self.urdf else 'neither'}"
             )
         if self.arm:
-            taken = ("base", "flange", "velocity", "acceleration", "jerk")
-            if given := [name for name in taken if getattr(self, name)]:
+            taken = ("base", "base_xyz", "flange", "velocity", "acceleration", "jerk")
+            if given := [name for name in taken if _states(getattr(self, name))]:
                 raise ConfigError(f"{', '.join(given)}: with arm they are those of '{self.arm}'; leave them out")
             return
         if not self.acceleration:
@@ -68,6 +71,10 @@ class RobotRecipe:
         for name in ("velocity", "acceleration", "jerk"):
             if any(value <= 0.0 for value in getattr(self, name)):
                 raise ConfigError(f"{name} must be greater than 0, got {list(getattr(self, name))}")
+
+
+def _states(value: str | tuple[float, ...]) -> bool:
+    return bool(value) if isinstance(value, str) else any(value)
 
 
 def spread(values: tuple[float, ...], joints: int, name: str) -> tuple[float, ...]:

@@ -46,7 +46,8 @@ def draw_robots(robots: Sequence[str], pixels: int, renderer: str = "raster") ->
             pictures.append(Image.fromarray(images[name].rgb))
     drawing.close()
     titles = [f"{robot}, {len(library.robot(robot).joint_names)} joints" for robot in robots]
-    return contact_sheet(pictures, titles, columns=min(4, len(robots)))
+    columns = min((4, 3, 5), key=lambda count: -len(robots) % count)  # with the fewest empty places
+    return contact_sheet(pictures, titles, columns=min(columns, len(robots)))
 
 
 def draw_reach(robot: str, file: Path) -> float:

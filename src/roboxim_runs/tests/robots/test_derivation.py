@@ -9,6 +9,7 @@ import pytest
 import trimesh
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_runs.robots import derivation
 from roboxim_runs.robots.check import prove
@@ -57,7 +58,7 @@ def recipe(urdf: Path, **changes: Any) -> RobotRecipe:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made")
-    derive(recipe(small_arm(folder)), folder / "config" / "robots", say=lambda line: None)
+    derive(recipe(small_arm(folder)), folder / "config" / "robots", report=lambda line: None)
     return folder / "config"
 
 
@@ -101,7 +102,7 @@ def test_what_is_missing_or_wrong_is_named(
 ) -> None:
     urdf = small_arm(tmp_path, **changes)
     with pytest.raises(ConfigError, match=said):
-        derive(recipe(urdf, **given), tmp_path / "robots", say=lambda line: None)
+        derive(recipe(urdf, **given), tmp_path / "robots", report=lambda line: None)
     assert not list((tmp_path / "robots").glob("*.yaml")), "nothing is half-written"
 
 
@@ -114,16 +115,30 @@ def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
     urdf = small_arm(tmp_path)
     (tmp_path / "base.stl").unlink()
     with pytest.raises(ConfigError, match=r"cannot read the mesh .*base\.stl"):
-        derive(recipe(urdf), tmp_path / "robots", say=lambda line: None)
+        derive(recipe(urdf), tmp_path / "robots", report=lambda line: None)
 
 
 @pytest.mark.thorough
 def test_a_gripper_is_mounted_on_an_arm_from_a_urdf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(derivation, "srdf_text", partial(srdf_text, samples=300))
-    derive(recipe(small_arm(tmp_path), gripper="robotiq_2f85"), tmp_path / "robots", say=lambda line: None)
+    derive(recipe(small_arm(tmp_path), gripper="robotiq_2f85"), tmp_path / "robots", report=lambda line: None)
     robot = ModelLibrary(tmp_path).robot("mine")
     assert robot.gripper.links[:2] == ("mine_hand", "mine_gripper_left_inner_finger_pad")
     assert robot.gripper.opening_map == gripper("robotiq_2f85").gripper.opening_map
+
+
+@pytest.mark.thorough
+def test_a_small_arm_stands_on_a_pillar_where_it_reaches(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(derivation, "srdf_text", partial(srdf_text, samples=300))
+    derive(recipe(small_arm(tmp_path), base_xyz=(0.2, 0.0, 0.25)), tmp_path / "robots", report=lambda line: None)
+    robot, beside = ModelLibrary(tmp_path).robot("mine"), ModelLibrary(made).robot("mine")
+    there, here = (ArmKinematics(model).fk(beside.home) for model in (robot, beside))
+    np.testing.assert_allclose(np.subtract(there.position, here.position), (0.2, 0.0, 0.25), atol=1e-9)
+    assert robot.stand == pytest.approx((0.14, -0.06, 0.26, 0.06))
+    pillar = trimesh.load_mesh(tmp_path / "robots" / "mine" / "collision" / "mine_stand_1_1.stl")
+    np.testing.assert_allclose(pillar.bounds, [(0.14, -0.06, 0.0), (0.26, 0.06, 0.25)], atol=1e-6)
 
 
 @pytest.mark.slow

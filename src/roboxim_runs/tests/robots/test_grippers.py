@@ -87,7 +87,7 @@ def test_an_arm_of_the_library_keeps_its_limits(tmp_path: Path, monkeypatch: pyt
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GRIPPERS)
-@pytest.mark.parametrize("arm", [name for name in ModelLibrary().robot_ids if "_" not in name])
+@pytest.mark.parametrize("arm", [name for name in ModelLibrary().robot_ids if name != "panda_2f85"])
 def test_every_gripper_fits_every_arm(arm: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(derivation, "srdf_text", partial(srdf_text, samples=300))
     derive(RobotRecipe(name="mine", arm=arm, gripper=name), tmp_path / "robots", say=lambda line: None)

@@ -129,7 +129,7 @@ class Room:
     table: tuple[Array, Array]
     """Middle and half extent of the table's top, each of shape (2,) [m]."""
     others: tuple[tuple[Array, float], ...]
-    """Footprint of each present object, with the gap that it requires [m]."""
+    """Footprint of each present object, and of the arm's stand, with the gap that it requires [m]."""
 
     @staticmethod
     def of(scene: SceneSpec, library: ModelLibrary, gap_m: float, gaps: Mapping[str, float] | None = None) -> Room:
@@ -141,10 +141,15 @@ class Room:
             gap_m: Free space around the new object [m].
             gaps: Entity to the free space between it and the new object, where it differs from ``gap_m`` [m].
         """
+        others = [(footprint(e, library), (gaps or {}).get(e.name, gap_m)) for e in scene.entities]
+        if stand := library.robot(scene.robot.model).stand:
+            x, y, far, left = stand
+            corners = scene.robot.pose.apply([(far, left, 0.0), (x, left, 0.0), (x, y, 0.0), (far, y, 0.0)])
+            others.append((corners[:, :2], gap_m))
         return Room(
             library=library,
             table=(np.array(scene.table.center[:2]), np.array(scene.table.size[:2]) / 2),
-            others=tuple((footprint(e, library), (gaps or {}).get(e.name, gap_m)) for e in scene.entities),
+            others=tuple(others),
         )
 
     def refusal(self, entity: EntitySpec) -> str:

@@ -4,10 +4,10 @@ import trimesh
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.poses import Pose
-from roboxim_core.specs import EntitySpec
+from roboxim_core.specs import EntitySpec, RobotSpec, SceneSpec
 from roboxim_tasks.config import load_task_config, parse_task_config
 from roboxim_tasks.roles import task_distractors
-from roboxim_tasks.sampling.placement import centre, footprint, grown, nearest_distance, overlap
+from roboxim_tasks.sampling.placement import Room, centre, footprint, grown, nearest_distance, overlap
 from roboxim_tasks.skills.place_relation import aligning_yaws, half_extent
 from roboxim_tasks.skills.placing import upright
 
@@ -127,3 +127,14 @@ def test_the_shipped_tasks_ask_for_half_the_episodes_over_a_large_area(name):
     area = config.reset["objects"].area
     assert config.reset["distractors"].near.share == 0.5
     assert np.all(np.subtract(area.upper, area.lower) >= (0.3999, 0.4999))
+
+
+def test_objects_stay_off_the_stand_of_an_arm(library):
+    moved = Pose(position=(0.1, 0.2, 0.0))
+    cube = EntitySpec(name="thing", model="cube", pose=Pose(position=(0.3, 0.2, 0.0225)))
+    beside = EntitySpec(name="thing", model="cube", pose=Pose(position=(0.45, 0.2, 0.0225)))
+    for robot, expected in (("widowx_ai", "overlaps"), ("panda", "")):
+        scene = SceneSpec(robot=RobotSpec(model=robot, pose=moved))
+        room = Room.of(scene, library, 0.04)
+        assert room.refusal(cube) == expected, "the stand covers x from 0.24 to 0.36"
+        assert room.refusal(beside) == ""
