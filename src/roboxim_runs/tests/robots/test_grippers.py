@@ -45,7 +45,7 @@ def jaw(folder: Path, mimic: str = MIMIC, **changes: Any) -> GripperRecipe:
 
 
 def test_the_opening_of_turning_fingers_is_measured(tmp_path: Path) -> None:
-    file = derive_gripper(jaw(tmp_path), tmp_path / "grippers", folder=tmp_path, say=lambda line: None)
+    file = derive_gripper(jaw(tmp_path), tmp_path / "grippers", folder=tmp_path, report=lambda line: None)
     tool = gripper(str(file)).gripper
     assert tool.max_opening_m == pytest.approx(0.07, abs=1e-4), "8 cm between the joints, each tip 1 cm thick"
     assert [(row.name, row.leader, row.ratio) for row in tool.followers] == [
@@ -65,7 +65,7 @@ def test_the_opening_of_turning_fingers_is_measured(tmp_path: Path) -> None:
 )
 def test_what_a_gripper_lacks_is_named(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
-        derive_gripper(jaw(tmp_path, **changes), tmp_path / "grippers", folder=tmp_path, say=lambda line: None)
+        derive_gripper(jaw(tmp_path, **changes), tmp_path / "grippers", folder=tmp_path, report=lambda line: None)
     assert not (tmp_path / "grippers" / "jaw.yaml").exists()
 
 
@@ -90,7 +90,7 @@ def test_an_arm_of_the_library_keeps_its_limits(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize("arm", [name for name in ModelLibrary().robot_ids if name != "panda_2f85"])
 def test_every_gripper_fits_every_arm(arm: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(derivation, "srdf_text", partial(srdf_text, samples=300))
-    derive(RobotRecipe(name="mine", arm=arm, gripper=name), tmp_path / "robots", say=lambda line: None)
+    derive(RobotRecipe(name="mine", arm=arm, gripper=name), tmp_path / "robots", report=lambda line: None)
     monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path))
     found = {}
     for proof in prove("mine"):
