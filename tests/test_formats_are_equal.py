@@ -8,7 +8,8 @@ from roboxim_bringup.core_graph import CoreGraph
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_datasets.compare import compare, comparison_text
 from roboxim_datasets.formats import FORMATS, open_dataset
-from roboxim_datasets.rewrite import plan_of, write_dataset
+from roboxim_datasets.plans import plan_of
+from roboxim_datasets.rewrite import write_dataset
 from roboxim_recorder.export import EXPORTERS, export_bags
 from roboxim_runs.episodes.task_choice import task_text
 

@@ -9,7 +9,7 @@ from functools import partial
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import Episode, Step, Wanted
-from roboxim_datasets.rewrite import Place, plan_of
+from roboxim_datasets.plans import Place, plan_of
 from roboxim_datasets.where import Choice, Edit, Fact
 
 

@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -27,40 +27,13 @@ from roboxim_datasets.card import write_card
 from roboxim_datasets.dataset import EXPORT_FILE, SPLITS, Dataset, Description
 from roboxim_datasets.episode import METADATA, OWN_FIELDS, Episode, MetaValue, Step, Wanted
 from roboxim_datasets.files import file_in, has_file, reading
+from roboxim_datasets.plans import Plan
 from roboxim_datasets.registry import FORMATS
 from roboxim_datasets.rlds.episodes import USUAL_KEYS
 
 _NAME = re.compile(r"[^./\\][^/\\]{0,99}")
 CONVENTION_FILE = "convention.yaml"
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Place:
-    """An episode of a dataset."""
-
-    dataset: Dataset
-    """The dataset."""
-    split: str
-    """Its split."""
-    index: int
-    """Its number in the split."""
-    change: Callable[[Episode], Episode] = lambda episode: episode
-    """Changes what is read of it."""
-    changed: str = ""
-    """What the change is; empty: none."""
-
-    def read(self) -> Episode:
-        """Read the episode, with its change.
-
-        Raises:
-            RecorderError: With code ``BAG_DAMAGED``, naming the file.
-        """
-        return self.change(self.dataset.read(self.split, self.index))
-
-
-Plan = Mapping[str, Sequence[Place]]
-"""Split of the new dataset to its episodes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,43 +50,6 @@ class Written:
     """What the sources have and the dataset does not."""
     changed: tuple[Part, ...] = ()
     """What was read of the sources but not bit for bit."""
-
-
-def plan_of(*datasets: Dataset) -> dict[str, list[Place]]:
-    """Return the plan that keeps every episode in its split, one dataset after another."""
-    found: dict[str, list[Place]] = {}
-    for dataset in datasets:
-        for split, count in dataset.splits.items():
-            places = [Place(dataset=dataset, split=split, index=index) for index in range(count)]
-            found.setdefault(split, []).extend(places)
-    return found
-
-
-def split_plan(dataset: Dataset, counts: Mapping[str, int]) -> dict[str, list[Place]]:
-    """Return the plan that divides all episodes of a dataset anew.
-
-    The splits take turns so that each is spread evenly over the whole order.
-
-    Args:
-        dataset: The dataset.
-        counts: New split to its number of episodes; one may be 0: the rest.
-
-    Raises:
-        InvalidRequestError: When the counts are not those of the dataset.
-    """
-    places = [place for group in plan_of(dataset).values() for place in group]
-    rest, fixed = [name for name, count in counts.items() if not count], sum(counts.values())
-    if len(rest) > 1 or fixed > len(places) or (fixed < len(places) and not rest) or (fixed == len(places) and rest):
-        raise InvalidRequestError(
-            f"{dataset.path} has {len(places)} episodes; expected counts that add up to this, or one 0 for the rest, "
-            f"got {dict(counts)}"
-        )
-    wanted = {name: count or len(places) - fixed for name, count in counts.items()}
-    turns = sorted(((at + 0.5) / count, name) for name, count in wanted.items() for at in range(count))
-    found: dict[str, list[Place]] = {name: [] for name in wanted}
-    for place, (_, name) in zip(places, turns, strict=True):
-        found[name].append(place)
-    return found
 
 
 def options_like(dataset: Dataset) -> Any:

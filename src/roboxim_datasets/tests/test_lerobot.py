@@ -22,7 +22,8 @@ from roboxim_datasets.episode import EXECUTED, Episode, ImageSize, Step
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.lerobot import LeRobotFormat, LeRobotOptions, LeRobotWriter
 from roboxim_datasets.lerobot.content import content_of, layout_of
-from roboxim_datasets.rewrite import plan_of, write_dataset
+from roboxim_datasets.plans import plan_of
+from roboxim_datasets.rewrite import write_dataset
 
 ACTION = ("dx", "dy", "gripper")
 FEATURES = Features(

@@ -10,7 +10,8 @@ import pytest
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
 from roboxim_datasets.compare import compare
 from roboxim_datasets.formats import open_dataset
-from roboxim_datasets.rewrite import options_like, plan_of, split_plan, write_dataset
+from roboxim_datasets.plans import plan_of, split_plan
+from roboxim_datasets.rewrite import options_like, write_dataset
 from roboxim_datasets.rlds import RldsOptions
 
 

@@ -16,7 +16,8 @@ from roboxim_datasets.compare import compare
 from roboxim_datasets.episode import Episode, Step, Wanted
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.lerobot import LeRobotOptions
-from roboxim_datasets.rewrite import plan_of, write_dataset
+from roboxim_datasets.plans import plan_of
+from roboxim_datasets.rewrite import write_dataset
 from roboxim_datasets.rlds.dataset import RldsOptions
 
 WHOLE = "Open the top drawer, then put the apple into it"

@@ -96,7 +96,8 @@ def test_what_cannot_be_an_episode_says_why(fake, tmp_path, without, said):
 @pytest.mark.parametrize("format", ["lerobot", "rlds", "hdf5"])
 def test_it_is_written_in_every_format_with_an_unknown_outcome(fake, tmp_path, format):
     from roboxim_datasets.formats import open_dataset
-    from roboxim_datasets.rewrite import plan_of, write_dataset
+    from roboxim_datasets.plans import plan_of
+    from roboxim_datasets.rewrite import write_dataset
 
     dataset = DrivenDataset(driven(tmp_path / "bag", fake(steps=5)), "Wave")
     written = write_dataset(plan_of(dataset), tmp_path / "out", format, how="convert")

@@ -19,7 +19,7 @@ from roboxim_datasets.account import Account
 from roboxim_datasets.dataset import Dataset, Description, Features
 from roboxim_datasets.episode import EXECUTED, Episode, ImageSize, Step, Wanted, solved
 from roboxim_datasets.files import file_in, has_file, reading
-from roboxim_datasets.hdf5.layout import ATTRIBUTE, INSTRUCTIONS, MASKS, STATISTICS_FILE, SUBTASKS, Hdf5Content
+from roboxim_datasets.hdf5.layout import ATTRIBUTE, INSTRUCTIONS, STATISTICS_FILE, SUBTASKS, Hdf5Content
 from roboxim_datasets.hdf5.others import (
     Array,
     arrays,
@@ -30,11 +30,17 @@ from roboxim_datasets.hdf5.others import (
     layout_of,
     reason_not_read,
 )
-from roboxim_datasets.hdf5.tree import attributes, leaves, numbers, opened, problem_of, require_no_external_links
-from roboxim_datasets.hdf5.tree import text_of as _text
+from roboxim_datasets.hdf5.splits import masks_of, splits_of
+from roboxim_datasets.hdf5.tree import (
+    array_in,
+    attributes,
+    leaves,
+    numbers,
+    opened,
+    problem_of,
+    require_no_external_links,
+)
 
-_SPLITS = {mask: split for split, mask in MASKS.items()}
-_ORDER = ("train", "val", "test")
 _REPEATED = {"dones": "the last step of an episode", "num_samples": "the number of actions"}
 _SUCCESS = "success"
 _READ_ATTRIBUTES = ("ep_meta", "instruction", "success", ATTRIBUTE)
@@ -85,12 +91,14 @@ class Hdf5Dataset(Dataset):
                 self.content = self._own_content()
                 first = leaves(data[self._names_of_demos[0]])
                 keys = (*self.content.cameras, *self.content.vectors, *self.content.signals, "actions")
-                self._shapes = {key: tuple(_array(first, key, self.file).shape[1:]) for key in keys}
+                self._shapes = {key: tuple(array_in(first, key, self.file).shape[1:]) for key in keys}
             else:
                 first = self._look_at_all(data)
             self._compression = next((first[key].compression for key in self.content.cameras), None)
-            self._masks = _masks(file)
-        self._demos, self._lost_splits = self._split()
+            self._masks = masks_of(file)
+        read = [name for name in self._names_of_demos if name not in self._unread]
+        self._demos, self._lost_splits, unnamed = splits_of(read, self._masks, own=ATTRIBUTE in self._attributes)
+        self._unread |= unnamed
 
     def _own_content(self) -> Hdf5Content:
         if self.depth_unit_m:
@@ -144,33 +152,6 @@ class Hdf5Dataset(Dataset):
         """Arguments of robosuite's environment."""
         found = _object(self._attributes.get("env_args", "")).get("env_kwargs")
         return found if isinstance(found, dict) else {}
-
-    def _split(self) -> tuple[dict[str, list[str]], dict[str, str]]:
-        """Return split to the names of its episodes, and mask to why it is no split.
-
-        Without masks all episodes are in ``train``. Episodes in no mask are too, unless there is a mask ``train``.
-        """
-        found: dict[str, list[str]] = {}
-        lost: dict[str, str] = {}
-        taken: set[str] = set()
-        read = [name for name in self._names_of_demos if name not in self._unread]
-        masks = {_SPLITS.get(mask, mask): mask for mask in self._masks}
-        order = tuple(dict.fromkeys((*_ORDER, *masks))) if ATTRIBUTE in self._attributes else _ORDER
-        for mask, members in self._masks.items():
-            if _SPLITS.get(mask, mask) not in order:
-                lost[mask] = "not one of train, valid, test"
-            elif members is None:
-                lost[mask] = "not a list of names"
-        for split in order:
-            named = self._masks.get(masks.get(split, "")) or set()
-            found[split] = [name for name in read if name in named and name not in taken]
-            taken |= set(found[split])
-        rest = [name for name in read if name not in taken]
-        if masks.get("train") in lost or "train" not in masks or not taken:
-            found["train"] = sorted([*found["train"], *rest], key=read.index)
-        else:
-            self._unread |= dict.fromkeys(rest, "no mask names it, and there is a mask 'train'")
-        return {name: found[name] for name in order if found[name]}, lost
 
     @property
     def splits(self) -> Mapping[str, int]:
@@ -245,7 +226,7 @@ class Hdf5Dataset(Dataset):
             group = file["data"][demo]
             attached = attributes(group)
             own = _object(attached.get(ATTRIBUTE, ""))
-            length = len(numbers(group.get("actions"), f"{where}, 'actions'", len(_array(group, "actions", where))))
+            length = len(numbers(group.get("actions"), f"{where}, 'actions'", len(array_in(group, "actions", where))))
             stated = _success(group, arrays(leaves(group)))
             if stated is None and "success" not in attached and _readable(group):
                 stated = solved(numbers(group["rewards"], f"{where}, 'rewards'", length))
@@ -280,7 +261,7 @@ class Hdf5Dataset(Dataset):
 
         def chosen(names: Mapping[str, str], cameras: tuple[str, ...]) -> dict[str, Any]:
             by_camera = {camera: key for key, camera in names.items()}
-            found = {camera: _array(group, by_camera[camera], where) for camera in cameras}
+            found = {camera: array_in(group, by_camera[camera], where) for camera in cameras}
             for camera, array in found.items():
                 flat = names is content.depth and array.ndim == 3  # of others: (steps, height, width)
                 if not (array.ndim == 4 or flat) or len(array) < length:
@@ -289,7 +270,7 @@ class Hdf5Dataset(Dataset):
             return found
 
         def rows(key: str) -> Any:
-            return numbers(_array(group, key, where), f"{where}, '{key}'", length)
+            return numbers(array_in(group, key, where), f"{where}, '{key}'", length)
 
         images, depth = chosen(content.cameras, wanted.cameras), chosen(content.depth, wanted.depth)
         masks = chosen(content.segmentation, wanted.segmentation)
@@ -445,42 +426,6 @@ def _readable(group: Any) -> bool:
 
     rewards, actions = group.get("rewards"), group["actions"]
     return isinstance(rewards, h5py.Dataset) and not problem_of(rewards) and rewards.shape[:1] == actions.shape[:1]
-
-
-def _array(group: Any, key: str, where: object) -> Any:
-    """Return an array whose values can be read.
-
-    Raises:
-        RecorderError: With code ``BAG_DAMAGED`` when there is none.
-    """
-    import h5py
-
-    item = group.get(key)
-    problem = problem_of(item) if isinstance(item, h5py.Dataset) else "there is no such array"
-    if not problem and item.ndim < 1:
-        problem = "a single value"
-    if problem:
-        raise RecorderError(f"{where}, '{key}': {problem}", ErrorCode.BAG_DAMAGED)
-    return item
-
-
-def _masks(file: Any) -> dict[str, set[str] | None]:
-    """Return mask to the names that it lists; None: it is no list of names."""
-    import h5py
-
-    group = file.get("mask")
-    if not _is_group(group):
-        return {}
-    found: dict[str, set[str] | None] = {}
-    for mask in group:
-        item = group.get(mask)
-        listed = isinstance(item, h5py.Dataset) and item.ndim == 1 and item.dtype.kind in "SO" and not item.external
-        if listed and len(item) <= max(1, item.id.get_storage_size()):
-            with reading(f"mask/{mask}"):
-                found[mask] = {_text(name) for name in item[:]}
-        else:
-            found[mask] = None
-    return found
 
 
 def _flag(text: str) -> bool | None:

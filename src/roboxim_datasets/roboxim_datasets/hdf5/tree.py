@@ -138,3 +138,20 @@ def text_of(value: Any) -> str:
     if isinstance(value, h5py.Empty):
         return ""
     return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+
+
+def array_in(group: Any, key: str, where: object) -> Any:
+    """Return an array whose values can be read.
+
+    Raises:
+        RecorderError: With code ``BAG_DAMAGED`` when there is none.
+    """
+    import h5py
+
+    item = group.get(key)
+    problem = problem_of(item) if isinstance(item, h5py.Dataset) else "there is no such array"
+    if not problem and item.ndim < 1:
+        problem = "a single value"
+    if problem:
+        raise RecorderError(f"{where}, '{key}': {problem}", ErrorCode.BAG_DAMAGED)
+    return item

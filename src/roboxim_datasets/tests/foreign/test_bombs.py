@@ -23,7 +23,8 @@ from traced_memory import peak_below
 from roboxim_core.errors import RoboximError
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.lerobot import parquet_file
-from roboxim_datasets.rewrite import plan_of, write_dataset
+from roboxim_datasets.plans import plan_of
+from roboxim_datasets.rewrite import write_dataset
 from roboxim_datasets.rlds.tfrecord import decode_example, encode_example, read_records, write_record
 
 DATA = "data/chunk-000/file-000.parquet"

@@ -26,7 +26,8 @@ from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.depth import camera_of
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.lerobot import LeRobotOptions
-from roboxim_datasets.rewrite import plan_of, write_dataset
+from roboxim_datasets.plans import plan_of
+from roboxim_datasets.rewrite import write_dataset
 
 DATA = "data/chunk-000/file-000.parquet"
 TOP = "observation.images.top_depth"

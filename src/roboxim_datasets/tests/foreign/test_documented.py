@@ -17,7 +17,8 @@ from made_foreign import EPISODES, STEPS, hdf5, lerobot30, rlds
 from roboxim_core.errors import RoboximError
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.formats import open_dataset
-from roboxim_datasets.rewrite import plan_of, write_dataset
+from roboxim_datasets.plans import plan_of
+from roboxim_datasets.rewrite import write_dataset
 from roboxim_datasets.rlds.tfrecord import decode_example, encode_example, read_records, write_record
 
 PAGE = Path(__file__).parents[4] / "docs/how-to/data.md"

@@ -19,7 +19,8 @@ from roboxim_datasets.compare import compare
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.lerobot import LeRobotOptions
-from roboxim_datasets.rewrite import plan_of, write_dataset
+from roboxim_datasets.plans import plan_of
+from roboxim_datasets.rewrite import write_dataset
 from roboxim_datasets.rlds.dataset import RldsOptions
 
 FORMAT_PNG = RldsOptions(encoding="png")

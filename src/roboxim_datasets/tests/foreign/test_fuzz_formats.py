@@ -14,7 +14,8 @@ from mutations import mutate
 from roboxim_core.errors import RoboximError
 from roboxim_datasets.card import count, summary
 from roboxim_datasets.formats import open_dataset
-from roboxim_datasets.rewrite import plan_of, write_dataset
+from roboxim_datasets.plans import plan_of
+from roboxim_datasets.rewrite import write_dataset
 
 MAKERS = {"hdf5": hdf5, "lerobot 3.0": lerobot30, "lerobot 2.1": lerobot21, "rlds": rlds}
 

@@ -20,7 +20,8 @@ from roboxim_datasets.audit import AuditEpisode, Auditor
 from roboxim_datasets.episode import ImageSize
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.pictures import colour_picture, head_of
-from roboxim_datasets.rewrite import plan_of, write_dataset
+from roboxim_datasets.plans import plan_of
+from roboxim_datasets.rewrite import write_dataset
 from roboxim_datasets.rlds.tfrecord import decode_example, encode_example, read_records, write_record
 
 DATA = "data/chunk-000/file-000.parquet"

@@ -13,7 +13,8 @@ from roboxim_eval.experiments.proving.cells_apart import (
     distinguishable,
     distinguishing_checks,
 )
-from roboxim_eval.experiments.proving.delivery import CHECKS, Allowed, Demand, View, gap
+from roboxim_eval.experiments.proving.delivery import CHECKS
+from roboxim_eval.experiments.proving.demand import Allowed, Demand, View, gap
 
 
 def words(*values):

@@ -7,7 +7,8 @@ import pytest
 from roboxim_core.poses import Pose
 from roboxim_eval.experiments.proving.cells_apart import belongs_to
 from roboxim_eval.experiments.proving.changes import changed_parts
-from roboxim_eval.experiments.proving.delivery import Allowed, Demand, Shown, View, faults_of
+from roboxim_eval.experiments.proving.delivery import faults_of
+from roboxim_eval.experiments.proving.demand import Allowed, Demand, Shown, View
 from roboxim_eval.experiments.proving.proofs import Tally, Trained, pairing, tally, training_tally
 
 VIEW = View(parent="world", pose=Pose(position=(1.0, 0.2, 0.6)))

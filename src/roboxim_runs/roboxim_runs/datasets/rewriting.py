@@ -11,7 +11,8 @@ from roboxim_datasets.choosing import chosen_plan
 from roboxim_datasets.compare import LOWEST_PSNR_DB, Comparison, Images, compare
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.formats import open_dataset
-from roboxim_datasets.rewrite import Plan, Written, options_like, plan_of, split_plan, write_dataset
+from roboxim_datasets.plans import Plan, plan_of, split_plan
+from roboxim_datasets.rewrite import Written, options_like, write_dataset
 from roboxim_recorder.driven import DrivenDataset, is_driven
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation

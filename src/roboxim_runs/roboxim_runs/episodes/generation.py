@@ -12,7 +12,8 @@ from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ErrorCode, RoboximError
 from roboxim_core.shards import Shard
 from roboxim_runs.episodes.pictures import write_contact_sheet
-from roboxim_runs.episodes.run import EpisodesConfig, EpisodesJob, run_environment, run_episodes
+from roboxim_runs.episodes.run import EpisodesJob, run_environment, run_episodes
+from roboxim_runs.episodes_config import EpisodesConfig
 from roboxim_runs.events import EpisodeFinished, Event, OnEvent, PictureWritten, ignore
 from roboxim_runs.executors import Cancellation, Executor
 from roboxim_runs.filmed import Episode

@@ -20,7 +20,8 @@ from roboxim_core.policies import Policy
 from roboxim_core.shards import Shard
 from roboxim_eval.film_options import FilmOptions
 from roboxim_policies.remote import SERVERS_OWN
-from roboxim_runs.episodes.run import EpisodesConfig, EpisodesJob, run_environment, run_episodes
+from roboxim_runs.episodes.run import EpisodesJob, run_environment, run_episodes
+from roboxim_runs.episodes_config import EpisodesConfig
 from roboxim_runs.evaluation.checks import (
     cells_of,
     require_cameras,

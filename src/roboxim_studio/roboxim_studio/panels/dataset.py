@@ -21,7 +21,7 @@ from roboxim_datasets.choosing import facts_of
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import Episode, Step
 from roboxim_datasets.formats import open_dataset
-from roboxim_datasets.rewrite import Place
+from roboxim_datasets.plans import Place
 from roboxim_datasets.where import Fact
 from roboxim_studio.bench import Bench
 from roboxim_studio.episode.arm_track import ArmTrack, arm_track, arms_that_fit, named_arm

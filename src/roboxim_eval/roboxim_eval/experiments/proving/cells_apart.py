@@ -15,20 +15,8 @@ from string import Formatter
 from typing import Any
 
 from roboxim_core.poses import distance
-from roboxim_eval.experiments.proving.delivery import (
-    AREA_M,
-    CAMERA_M,
-    CAMERA_RAD,
-    CHECKS,
-    LIGHT,
-    START_M,
-    TEXTURE,
-    Allowed,
-    Demand,
-    Shown,
-    View,
-    gap,
-)
+from roboxim_eval.experiments.proving.delivery import AREA_M, CAMERA_M, CAMERA_RAD, CHECKS, LIGHT, START_M, TEXTURE
+from roboxim_eval.experiments.proving.demand import Allowed, Demand, Shown, View, gap
 
 OF_CELLS = ("skill", "arm", "object", "area", "camera")
 """Checks that every episode of a cell must pass."""

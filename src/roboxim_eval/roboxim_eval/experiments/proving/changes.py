@@ -13,7 +13,8 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from roboxim_eval.experiments.proving.delivery import CHANGED, Shown
+from roboxim_eval.experiments.proving.delivery import CHANGED
+from roboxim_eval.experiments.proving.demand import Shown
 
 SAME_M = 0.001
 """Largest distance of an object or the tool from its place in another condition's episode of the scene [m].

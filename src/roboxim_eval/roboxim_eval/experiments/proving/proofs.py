@@ -22,16 +22,8 @@ from roboxim_eval.experiments.proving.changes import (
     seen_change,
     shown_difference,
 )
-from roboxim_eval.experiments.proving.delivery import (
-    CHANGED,
-    CHECKS,
-    VISIBLE_PX,
-    WORDS,
-    Demand,
-    Shown,
-    faults_of,
-    hidden_distractors,
-)
+from roboxim_eval.experiments.proving.delivery import CHANGED, CHECKS, VISIBLE_PX, WORDS, faults_of, hidden_distractors
+from roboxim_eval.experiments.proving.demand import Demand, Shown
 
 PROOF_OF_TRAINING = "trained_on"
 """Check of a training, not of an episode: it read the export that the experiment gave it."""

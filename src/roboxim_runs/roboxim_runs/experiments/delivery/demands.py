@@ -16,7 +16,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.modifiers import PHYSICAL
 from roboxim_core.specs import CameraSpec, LookSpec
 from roboxim_core.vision.cameras import load_camera
-from roboxim_eval.experiments.proving.delivery import Allowed, Demand, Value, View, plain_value
+from roboxim_eval.experiments.proving.demand import Allowed, Demand, Value, View, plain_value
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.lights import LightsResetConfig
 from roboxim_tasks.components.physics import BodyConfig, PhysicsResetConfig

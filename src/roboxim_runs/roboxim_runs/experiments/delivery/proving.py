@@ -19,7 +19,8 @@ from roboxim_core.plain_data.documents import read_json_object
 from roboxim_datasets.dataset import EXPORT_FILE, Dataset
 from roboxim_datasets.formats import open_dataset
 from roboxim_eval.experiments.proving.changes import WORDS_SAY_OTHER_ROLES
-from roboxim_eval.experiments.proving.delivery import WORDS, Allowed, Demand, Shown
+from roboxim_eval.experiments.proving.delivery import WORDS
+from roboxim_eval.experiments.proving.demand import Allowed, Demand, Shown
 from roboxim_eval.experiments.proving.proofs import (
     PROOF_OF_TRAINING,
     Fault,

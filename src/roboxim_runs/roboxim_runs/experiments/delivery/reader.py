@@ -27,7 +27,7 @@ from roboxim_core.state import StateRecord
 from roboxim_core.vision.cameras import project
 from roboxim_core.vision.renderer import CameraImages
 from roboxim_datasets.audit.color import color_difference, median_lab
-from roboxim_eval.experiments.proving.delivery import Demand, Shown, Value, View, plain_value
+from roboxim_eval.experiments.proving.demand import Demand, Shown, Value, View, plain_value
 from roboxim_recorder.bag import BagReader, BagTick
 from roboxim_runs.experiments.delivery.demands import look_of, noise_of
 from roboxim_sim.rendering import make_renderer

@@ -9,7 +9,7 @@ from typing import Any
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.models.library import ModelLibrary
-from roboxim_eval.experiments.proving.delivery import Shown, View, plain_value
+from roboxim_eval.experiments.proving.demand import Shown, View, plain_value
 from roboxim_runs.experiments.delivery.demands import demands_of
 from roboxim_runs.experiments.delivery.reader import DeliveryReader
 
