@@ -96,7 +96,7 @@ class Page:
 
         Args:
             process: The browser.
-            address: Returns its address; empty: it has not said it yet.
+            address: Returns its address; empty: it is not known yet.
 
         Raises:
             RoboximError: When it ends before, or reports nothing in time.

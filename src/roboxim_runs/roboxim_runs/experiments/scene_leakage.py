@@ -42,7 +42,7 @@ def _objects_revealed(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str
     ]
     if revealing:
         where = "No scene" if len(revealing) == len(tasks) else f"No scene of {' and '.join(revealing)}"
-        yield f"{where} has distractors, so that the scene alone tells which object is meant."
+        yield f"{where} has distractors, so the scene alone reveals which object is meant."
 
 
 def _places_revealed(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
@@ -50,8 +50,8 @@ def _places_revealed(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]
     wider = [name for name, cell_tasks in tasks.items() if any(_lie_elsewhere(task) & named for task in cell_tasks)]
     if wider:
         yield (
-            f"Distractors of {' and '.join(wider)} may lie outside the area of the objects that tasks name, so that "
-            "the scene alone tells that some objects are not meant."
+            f"Distractors of {' and '.join(wider)} may lie outside the area of the objects that tasks name, so "
+            "the scene alone reveals that some objects are not meant."
         )
 
 
@@ -76,7 +76,7 @@ def _tasks_revealed(tasks: Mapping[str, Sequence[TaskConfig]]) -> Iterator[str]:
             own = {str(model) for task in cell_tasks for model in task.objects[role].models.values}
             if len(tasks) > 1 and not own & elsewhere:
                 has = " or ".join(sorted(model.replace("_", " ") for model in own))
-                yield f"Scenes of {name} alone have the {role} {has}, so that the scene alone tells this task."
+                yield f"Only scenes of {name} have the {role} {has}, so the scene alone reveals this task."
                 break
 
 

@@ -54,8 +54,8 @@ def test_a_folder_receives_a_card_and_a_page(tmp_path):
     page = write_experiment_report(folder, card).read_text()
     assert card.verdicts[0].sentence in page
     assert "roboxim experiment run mine.yaml --scale full --out run" in page
-    assert "No scene has distractors, so that the scene alone tells which object is meant." in page
-    assert "Scenes of place_on alone have the support plate, so that the scene alone tells this task." in page
+    assert "No scene has distractors, so the scene alone reveals which object is meant." in page
+    assert "Only scenes of place_on have the support plate, so the scene alone reveals this task." in page
     episodes = experiment_episodes(folder)
     assert len(episodes) == 3 * (80 + 80 + 40)
     assert {e.cell for e in episodes if e.arm == "blind"} == {"pick_up target=cube", "place_on target=soda_can"}
@@ -112,7 +112,7 @@ def test_the_page_of_a_card_alone_warns_of_what_its_scenes_tell(tmp_path):
     words = ("experiment", "report", "--from", str(folder.path / "card.json"), "--out", str(html))
     said = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
     for text in (said, html.read_text()):
-        assert "No scene has distractors, so that the scene alone tells which object is meant." in text
+        assert "No scene has distractors, so the scene alone reveals which object is meant." in text
 
 
 def test_results_that_changed_after_the_card_are_refused(tmp_path):

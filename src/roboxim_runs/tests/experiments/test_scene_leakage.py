@@ -12,10 +12,10 @@ from roboxim_tasks.config import task_mix
 from roboxim_tasks.meaning import read_instruction
 from roboxim_tasks.sampling.episodes import EpisodeGenerator
 
-OBJECT = "No scene has distractors, so that the scene alone tells which object is meant."
-TASK = "Scenes of {} alone have the {}, so that the scene alone tells this task."
+OBJECT = "No scene has distractors, so the scene alone reveals which object is meant."
+TASK = "Only scenes of {} have the {}, so the scene alone reveals this task."
 PLACES = (
-    "Distractors of {} may lie outside the area of the objects that tasks name, so that the scene alone tells that "
+    "Distractors of {} may lie outside the area of the objects that tasks name, so the scene alone reveals that "
     "some objects are not meant."
 )
 NEVER = (

@@ -145,13 +145,13 @@ class DatasetPanel:
 
     def _build(self, episode: Episode, rows: list[Any]) -> None:
         gui = self._gui
-        outcome = {True: "success", False: "failure", None: "not said"}[episode.success]
+        outcome = {True: "success", False: "failure", None: "not stated"}[episode.success]
         facts = gui.add_html(
             markup.facts(
                 [
                     ("episode", episode.episode_id or "no id"), ("instruction", episode.instruction),
-                    ("outcome", outcome), ("steps", len(episode)), ("robot", episode.robot or "not said"),
-                    ("bag", str(episode.metadata.get("file_path", "not said"))),
+                    ("outcome", outcome), ("steps", len(episode)), ("robot", episode.robot or "not stated"),
+                    ("bag", str(episode.metadata.get("file_path", "not stated"))),
                 ],
                 "dataset-episode",
             )

@@ -20,8 +20,8 @@ FARTHER = 1.6
 class Behaviour(AuditCheck):
     """An instruction whose verb is not what the arm does, judged by the other episodes."""
 
-    title = "The arm does something else than it is told"
-    reason = "The policy learns to do something other than what it is told, and to ignore the words."
+    title = "The arm does not follow the instruction"
+    reason = "The policy learns to act against the instruction, and to ignore the words."
     threshold = (
         f"the {NEIGHBOURS} episodes whose path, gripper and turns are most alike all have another first word in their "
         f"instruction, and the nearest with its own is {FARTHER:g} times as far as is usual: a warning"
@@ -66,7 +66,7 @@ class Behaviour(AuditCheck):
                 continue
             if nearest[i] > FARTHER * float(np.quantile(usual, 0.75)):
                 yield Finding(
-                    text=f"it is told to '{verb} ...' and moves like the episodes that are told to '{close[i][0]} ...'",
+                    text=f"its instruction is '{verb} ...', but it moves like the episodes of '{close[i][0]} ...'",
                     episodes=(name,),
                     ticks=(0,),
                     severity=Severity.WARNING,

@@ -48,7 +48,7 @@ class RecordedTask(AuditCheck):
     """A recorded task that is another episode's."""
 
     title = "The recorded task is another episode's"
-    reason = "The instruction comes from the task: the policy learns to do something other than what it is told."
+    reason = "The instruction comes from the task: the policy learns to act against the instruction."
     threshold = (
         f"a skill that none of the {FEWEST} or more other episodes of its run has, while these share one; or a task "
         "that is, with all that was drawn for its scene, another episode's word for word, in a dataset where at most "

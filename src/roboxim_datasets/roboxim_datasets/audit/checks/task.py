@@ -64,7 +64,7 @@ class WrongInstruction(AuditCheck):
     """An instruction that the episode does not carry out (thesis 6.1.2, issue 4)."""
 
     title = "The instruction is wrong"
-    reason = "The policy learns to do something other than what it is told, and to ignore the words."
+    reason = "The policy learns to act against the instruction, and to ignore the words."
     threshold = (
         "the instruction's own predicate is true at no tick, it names an object that the scene lacks, or it is not the "
         "instruction of the recorded task; or it is empty"

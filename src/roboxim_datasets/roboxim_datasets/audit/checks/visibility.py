@@ -62,7 +62,7 @@ class HiddenObject(AuditCheck):
 class Indistinguishable(AuditCheck):
     """Objects that only their colour distinguishes, and it does not (thesis 6.1.2, issue 5)."""
 
-    title = "Objects cannot be told apart"
+    title = "Objects cannot be distinguished"
     reason = "The image does not say which object the instruction means; the policy learns to pick either."
     threshold = (
         "nine tenths of the pixels of a named object, and of another one of the same noun and size, have a counterpart "
