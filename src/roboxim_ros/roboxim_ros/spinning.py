@@ -29,6 +29,8 @@ def spin(executor: Executor, node: Node) -> None:
         except ExternalShutdownException:
             return
         except CAUGHT as error:
+            if executor._is_shutdown:  # rclpy frees the guard conditions while this thread still waits for them
+                return
             failures += 1
             report(node.get_logger(), error, f"the executor of '{node.get_name()}', failure {failures}")
             if failures >= MAX_EXECUTOR_FAILURES:
