@@ -1,1 +1,1 @@
-"""Answers that no success rate gives: causes of a failure, decisive moments, regions where a policy fails."""
+"""Answers beyond success rates: causes of a failure, decisive moments, regions where a policy fails."""

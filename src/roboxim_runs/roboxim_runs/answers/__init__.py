@@ -1,1 +1,1 @@
-"""Answers that no success rate gives: explain a failure, compare two policies, mine regions of failure."""
+"""Answers beyond success rates: explain a failure, compare two policies, mine regions of failure."""
