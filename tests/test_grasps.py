@@ -19,7 +19,7 @@ LIBRARY = ModelLibrary()
 
 def cases() -> list[tuple[str, str, str, int]]:
     found = []
-    for object_id in LIBRARY.object_ids:
+    for object_id in LIBRARY.known_objects:
         size = LIBRARY.object_modifiers(object_id).get("size")
         for word in size.factors if size else [""]:
             grasps = LIBRARY.object(object_id).grasps

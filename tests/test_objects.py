@@ -22,11 +22,18 @@ from roboxim_sim.bullet import BulletClient
 from roboxim_sim.rendering import textures  # registers the room's
 
 LIBRARY = ModelLibrary()
+SHAPES = LIBRARY.object_sets["shapes"]
 MAX_TRIANGLES = 1500
 VISUAL_TOLERANCE_M = 0.015
 """A stem or a leaf may protrude from the collision shapes."""
+BY_HAND_M, IMPORTED_M = (2e-3, 1e-3), (3.5e-3, 2e-3)
+"""How far a visual may reach below its collision shapes, and an object move from its stated rest pose within a second:
+of an object made by hand, and of an imported one, whose few convex parts are not exact [m]."""
 
-each_object = pytest.mark.parametrize("object_id", LIBRARY.object_ids)
+each_object = pytest.mark.parametrize(
+    "object_id",
+    [*LIBRARY.object_ids, *(pytest.param(name, marks=pytest.mark.thorough) for name in SHAPES)],
+)
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +41,11 @@ def client() -> Iterator[BulletClient]:
     made = BulletClient()
     yield made
     made.disconnect()
+
+
+def tolerances(object_id: str) -> tuple[float, float]:
+    """Return how far the visual may reach below the collision shapes, and the object move [m]."""
+    return IMPORTED_M if object_id in SHAPES else BY_HAND_M
 
 
 def collision_points(model: ObjectModel) -> Array:
@@ -72,7 +84,7 @@ def test_visual_and_collision_shapes_agree(object_id: str) -> None:
     solid = collision_points(model)
     assert seen.min(axis=0) == pytest.approx(solid.min(axis=0), abs=VISUAL_TOLERANCE_M)
     assert seen.max(axis=0) == pytest.approx(solid.max(axis=0), abs=VISUAL_TOLERANCE_M)
-    assert seen[:, 2].min() == pytest.approx(solid[:, 2].min(), abs=2e-3), "it would float or sink"
+    assert seen[:, 2].min() == pytest.approx(solid[:, 2].min(), abs=tolerances(object_id)[0]), "it would float or sink"
     assert sum(len(part.mesh.faces) for _, part in parts) <= MAX_TRIANGLES
     assert {part.material.texture for _, part in parts} - {""} <= set(textures.TEXTURES)
     for _, part in parts:
@@ -108,9 +120,9 @@ def test_an_object_rests_at_its_rest_height(object_id: str, client: BulletClient
         joints = body.read_joints()[0]
         state, _ = body.read(joints, joints)
         moved, turned = distance(pose, state.pose)
-        assert moved < 1e-3
+        assert moved < tolerances(object_id)[1]
         assert turned < math.radians(2.0)
-        assert np.linalg.norm(state.angular_velocity) < 0.01
+        assert np.linalg.norm(state.angular_velocity) < (0.05 if object_id in SHAPES else 0.01)
         assert joints == pytest.approx([0.0] * len(joints), abs=1e-3)
 
 

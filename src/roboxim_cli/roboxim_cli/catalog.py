@@ -22,7 +22,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from roboxim_core.config_folders import config_dirs, config_names
+from roboxim_core.config_folders import config_dirs, config_names, config_sets
 from roboxim_core.user_folders import cache_dir
 
 if TYPE_CHECKING:
@@ -69,6 +69,9 @@ def names_of(kind: str) -> list[str]:
     """
     if kind == "renderer":
         return []
+    if kind == "object":
+        sets = config_sets("objects", config_dirs())
+        return sorted({*config_names("objects"), *sets, *(name for members in sets.values() for name in members)})
     if kind not in PART_OF:
         return config_names(f"{kind}s")
     part = PART_OF[kind]

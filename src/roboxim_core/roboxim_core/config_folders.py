@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from roboxim_core import limits
@@ -52,6 +53,20 @@ def config_names(kind: str) -> list[str]:
         ConfigError: See `config_dirs`.
     """
     return sorted({path.stem for folder in config_dirs() for path in (folder / kind).glob("*.yaml")})
+
+
+def config_sets(kind: str, folders: Iterable[Path]) -> dict[str, dict[str, Path]]:
+    """Return the sets of a kind: name of each subfolder with YAML files to name and path of these, all sorted.
+
+    Args:
+        kind: Folder in ``config/``, e.g. ``objects``.
+        folders: Search path, see `config_dirs`; a file hides later ones of its name in the set.
+    """
+    found: dict[str, dict[str, Path]] = {}
+    for folder in folders:
+        for path in (folder / kind).glob("*/*.yaml"):
+            found.setdefault(path.parent.name, {}).setdefault(path.stem, path)
+    return {name: dict(sorted(members.items())) for name, members in sorted(found.items())}
 
 
 def named_config(kind: str, name: str) -> Path:

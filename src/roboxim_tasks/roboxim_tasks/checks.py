@@ -110,7 +110,7 @@ def check_objects(document: Document, config: TaskConfig, library: ModelLibrary)
     Raises:
         ConfigError: On the first invalid model or modifier.
     """
-    roles, known = skill_of(config).roles, library.object_ids
+    roles, known = skill_of(config).roles, library.known_objects
     places: list[tuple[Path, ObjectConfig | DistractorConfig, Role]] = [
         (("objects", name), objects, roles[name]) for name, objects in config.objects.items()
     ]
@@ -236,7 +236,7 @@ def check_exclusions(document: Document, config: TaskConfig, library: ModelLibra
             document.require(path, role, roles)
             models = list(library.object_ids)
             if MODEL in wanted:
-                document.require((*path, MODEL), str(wanted[MODEL]), library.object_ids)
+                document.require((*path, MODEL), str(wanted[MODEL]), library.known_objects)
                 _check_role(document, (*path, MODEL), str(wanted[MODEL]), role, roles[role], library)
                 models = [str(wanted[MODEL])]
             models = [model for model in models if roles[role].suits(library.object(model))]

@@ -40,7 +40,7 @@ from roboxim_tasks.sequences import skill_of
 from roboxim_tasks.sequences.configuring import with_steps
 from roboxim_tasks.skills import SKILLS, Skill
 from roboxim_tasks.skills.from_file import is_skill_file, load_skill_file
-from roboxim_tasks.task_config import ObjectConfig, TaskConfig
+from roboxim_tasks.task_config import ObjectConfig, TaskConfig, with_members
 
 DEFAULT_TASK = "pick_cube"
 TASK = "task"
@@ -68,7 +68,7 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
     if given := config.skill_file or (config.skill if is_skill_file(config.skill) else ""):
         with document.section(("skill",)):
             config = replace(config, skill=load_skill_file(given), skill_file=given)
-    config = with_steps(document, config)
+    config = with_steps(document, with_members(config, library))
     skill = skill_of(config)
     for role in config.objects:
         document.require(("objects", role), role, skill.roles)
@@ -289,7 +289,7 @@ def task_mix(data: Any, *, source: str = "task mix", library: ModelLibrary | Non
     document, library = Document(source, data), library or ModelLibrary()
     mix: MixConfig = document.build(data, MixConfig, ())
     for number, cell in enumerate(mix.cells):
-        _check_cell(document, number, cell)
+        _check_cell(document, number, cell, library)
     used = {name: (number, place) for number, cell in enumerate(mix.cells) for place, name in enumerate(cell.tasks)}
     tasks = {}
     for name, (number, place) in used.items():
@@ -306,7 +306,7 @@ def task_mix(data: Any, *, source: str = "task mix", library: ModelLibrary | Non
     cells, counts, keys, names_of_tasks = [], [], [], []
     for number, cell in enumerate(mix.cells):
         given = data["cells"][number]
-        for task, *models in itertools.product(cell.tasks, *cell.models.values()):
+        for task, *models in itertools.product(cell.tasks, *map(library.expanded, cell.models.values())):
             names = dict(zip(cell.models, models, strict=True))
             if any((names | {TASK: task}).items() >= excluded.items() for excluded in cell.exclude):
                 continue
@@ -329,7 +329,7 @@ def task_mix(data: Any, *, source: str = "task mix", library: ModelLibrary | Non
     )
 
 
-def _check_cell(document: Document, number: int, cell: CellConfig) -> None:
+def _check_cell(document: Document, number: int, cell: CellConfig, library: ModelLibrary) -> None:
     """Check that a cell's exclusions name tasks and models of the cell; a typo would exclude nothing."""
     path: Path = ("cells", number)
     for role, models in cell.models.items():
@@ -339,7 +339,7 @@ def _check_cell(document: Document, number: int, cell: CellConfig) -> None:
         for key, value in excluded.items():
             where = (*path, "exclude", place, key)
             document.require(where, key, (TASK, *cell.models))
-            document.require(where, value, cell.tasks if key == TASK else cell.models[key])
+            document.require(where, value, cell.tasks if key == TASK else library.expanded(cell.models[key]))
 
 
 def _models(cell: Any, names: Mapping[str, str]) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from string import Formatter
 from typing import Any
@@ -68,10 +68,11 @@ def _read_one(
     tasks: list[TaskSpec] = []
     absent: list[str] = []
     understood = False
+    nouns = _nouns(library, (library.entity_model(entity).name for entity in scene.entities))
     for name in SKILLS:
         skill = SKILLS[name]
         for template in dict.fromkeys((*_templates(name), *(templates or {}).get(name, ()))):
-            words = _match(template, text, skill, library)
+            words = _match(template, text, skill, nouns)
             if words is None or not _roles(skill, words):
                 continue
             understood = True
@@ -96,8 +97,9 @@ def canonical_instruction(task: TaskSpec, library: ModelLibrary) -> str:
     skill = SKILLS[task.skill]
     first = next(iter(skill.templates), "")
     names = {name for _, name, _, _ in Formatter().parse(first) if name}
+    nouns = _nouns(library, (thing.name for thing in task.objects.values()))
     for template in _templates(task.skill):
-        words = _match(template, task.instruction, skill, library)
+        words = _match(template, task.instruction, skill, nouns)
         if words is not None and names <= words.keys():
             return first.format_map(words)
     return ""
@@ -126,12 +128,21 @@ def _alone(step: TaskSpec) -> TaskSpec:
     return replace(step, objects={role: thing for role, thing in step.objects.items() if role in own})
 
 
-def _match(template: str, text: str, skill: Skill, library: ModelLibrary) -> dict[str, str] | None:
+def _nouns(library: ModelLibrary, present: Iterable[str]) -> list[str]:
+    """Return the nouns that a text may have, the longest first: of the library without its sets, and of what is there.
+
+    Args:
+        library: The models.
+        present: Nouns of the objects that are there.
+    """
+    return sorted({*present, *(library.object(model).name for model in library.object_ids)}, key=len, reverse=True)
+
+
+def _match(template: str, text: str, skill: Skill, nouns: Sequence[str]) -> dict[str, str] | None:
     """Return the words in place of a template's names; none: the text does not follow it.
 
-    A role's words end with a noun of the library if possible, so that "Push the soda can back" is parsed correctly.
+    A role's words end with one of the nouns if possible, so that "Push the soda can back" is parsed correctly.
     """
-    nouns = sorted({library.object(model).name for model in library.object_ids}, key=len, reverse=True)
     thing = rf"(?:[\w-]+ )*?(?:{'|'.join(map(re.escape, nouns))})|.+?"
     pattern = ""
     for literal, name, _, _ in Formatter().parse(template):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.models.library import ModelLibrary
 from roboxim_core.rates import DEFAULT_RATE_HZ
 from roboxim_core.specs import Scalar, SceneSpec
 from roboxim_tasks.choices import Choice
@@ -179,3 +180,27 @@ class TaskConfig:
     def drawn(self, index: int) -> dict[str, str]:
         """Return the names that an episode's task records besides its draws: none, which only mixes have."""
         return {}
+
+
+def with_members(config: TaskConfig, library: ModelLibrary) -> TaskConfig:
+    """Return a task with the objects of each set in place of its name; they share the weight of the name.
+
+    Args:
+        config: The task.
+        library: Library of the objects and their sets.
+    """
+    if not library.object_sets:
+        return config
+    always = library.expanded(config.distractors.always)
+    distractors = replace(config.distractors, models=_members(config.distractors.models, library), always=always)
+    objects = {role: replace(one, models=_members(one.models, library)) for role, one in config.objects.items()}
+    return replace(config, objects=objects, distractors=distractors)
+
+
+def _members(models: Choice, library: ModelLibrary) -> Choice:
+    groups = [library.expanded((name,)) if isinstance(name, str) else (name,) for name in models.values]
+    if all(len(group) == 1 for group in groups):
+        return models
+    shares = zip(groups, models.weights, strict=True) if models.weights else ()
+    weights = tuple(weight / len(group) for group, weight in shares for _ in group)
+    return replace(models, values=tuple(name for group in groups for name in group), weights=weights)

@@ -37,10 +37,11 @@ def sheet(
     shuffle: int | None,
     variants: bool,
 ) -> None:
-    r"""Draw OBJECTS (default: all) on one contact sheet in the default look.
+    r"""Draw OBJECTS (default: all but those of sets) on one contact sheet in the default look.
 
     \b
     roboxim assets sheet
+    roboxim assets sheet shapes --columns 10 --size 128
     roboxim assets sheet mug bowl --variants --out variants.png
     roboxim assets sheet --no-labels --shuffle 7 --out blind.png
     """
@@ -55,7 +56,7 @@ def sheet(
     require_ending(out, ".png", ".jpg", ".jpeg")
     library = ModelLibrary()
     entities, texts = [], []
-    for object_id in objects or library.object_ids:
+    for object_id in library.expanded(objects) or library.object_ids:
         given: list[dict[str, Scalar]] = [{}]
         for kind, modifier in library.object_modifiers(object_id).items() if variants else ():
             if words := modifier.words(kind) if kind in ("color", "material", "size") else ():
@@ -84,7 +85,7 @@ def sheet(
 @command.command("check", begins="checking objects")
 @click.argument("targets", nargs=-1, required=True)
 def check(targets: tuple[str, ...]) -> None:
-    r"""Check objects, given as ids or as paths of YAML files. The exit code is 1 when an object has errors.
+    r"""Check objects, given as ids, sets or paths of YAML files. The exit code is 1 when an object has errors.
 
     \b
     roboxim assets check mug
@@ -95,6 +96,7 @@ def check(targets: tuple[str, ...]) -> None:
     from roboxim_runs.assets.check import check as check_one
 
     library, errors = ModelLibrary(), 0
+    targets = library.expanded(targets)
     for target in targets:
         found = check_one(target, library)
         errors += any(finding.severity == "error" for finding in found)

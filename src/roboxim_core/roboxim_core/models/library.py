@@ -1,6 +1,8 @@
 """Load robot and object models from ``config/`` and from the user's own directories.
 
-A robot or an object is one YAML file.
+A robot or an object is one YAML file. A folder of `objects/` with YAML files of its own is a set of objects, e.g.
+``objects/shapes``: its objects are known by their ids like all others, and all of them by the name of the set. They are
+no default anywhere, so that a large set changes nothing where it is not named.
 """
 
 from __future__ import annotations
@@ -9,13 +11,14 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 
 from roboxim_core import limits
-from roboxim_core.config import config_dirs, load_config
-from roboxim_core.errors import ConfigError, ErrorCode, one_of
+from roboxim_core.config import load_config
+from roboxim_core.config_folders import config_dirs, config_sets
+from roboxim_core.errors import ConfigError, ErrorCode, nearest, one_of
 from roboxim_core.models.description import ObjectModel, RobotModel
 from roboxim_core.models.modifiers import ModifierModel, modified
 from roboxim_core.models.object_config import ObjectConfig
@@ -37,6 +40,7 @@ class ModelLibrary:
         """
         self.search_path = (Path(config_dir),) if config_dir is not None else config_dirs()
         self._objects: dict[str, ObjectConfig] = {}
+        self._sets: dict[str, dict[str, Path]] | None = None
         self._robots: dict[str, RobotModel] = {}
         self._modified: dict[tuple[str, tuple[tuple[str, Scalar], ...]], ObjectModel] = {}
 
@@ -47,8 +51,31 @@ class ModelLibrary:
 
     @property
     def object_ids(self) -> tuple[str, ...]:
-        """Ids of all objects, sorted."""
+        """Ids of the objects that belong to no set, sorted."""
         return self._ids("objects")
+
+    @property
+    def object_sets(self) -> dict[str, tuple[str, ...]]:
+        """Name of each set of objects to the ids of its objects, both sorted."""
+        return {name: tuple(members) for name, members in self._set_files().items()}
+
+    @property
+    def known_objects(self) -> tuple[str, ...]:
+        """Ids of all objects: first those that belong to no set, then those of each set."""
+        own = self.object_ids
+        return tuple(dict.fromkeys((*own, *(name for members in self._set_files().values() for name in members))))
+
+    def expanded(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Return ids of objects, with those of a set in place of its name; a name that is an id and a set is an id.
+
+        Args:
+            names: Ids and names of sets; unknown ones stay.
+        """
+        found: list[str] = []
+        for name in names:
+            members = self._set_files().get(name)
+            found += members if members and name not in self.object_ids else [name]
+        return tuple(found)
 
     def robot(self, robot_id: str) -> RobotModel:
         """Return a robot.
@@ -149,7 +176,7 @@ class ModelLibrary:
         Args:
             recorded: Result of `hashes` at recording time.
         """
-        known = {*self.robot_ids, *self.object_ids}
+        known = {*self.robot_ids, *self.known_objects}
         return tuple(name for name, digest in recorded.items() if name not in known or self.digest(name) != digest)
 
     def _ids(self, kind: str) -> tuple[str, ...]:
@@ -170,9 +197,24 @@ class ModelLibrary:
                 break
             if (path := folder / kind / f"{model_id}.yaml").is_file():
                 return path
-        raise ConfigError(
-            f"unknown {kind[:-1]} '{model_id}'; {one_of(self._ids(kind), model_id)}", ErrorCode.UNKNOWN_MODEL
-        )
+        if kind != "objects":
+            raise ConfigError(
+                f"unknown {kind[:-1]} '{model_id}'; {one_of(self._ids(kind), model_id)}", ErrorCode.UNKNOWN_MODEL
+            )
+        for members in self._set_files().values():
+            if model_id in members:
+                return members[model_id]
+        raise ConfigError(f"unknown object '{model_id}'; {self.objects_like(model_id)}", ErrorCode.UNKNOWN_MODEL)
+
+    def objects_like(self, name: str) -> str:
+        """Return the end of an error message about an unknown object: which ids and names of sets are valid."""
+        every = (*self.known_objects, *self.object_sets)
+        return one_of(every if nearest(every, name) else (*self.object_ids, *self.object_sets), name)
+
+    def _set_files(self) -> dict[str, dict[str, Path]]:
+        if self._sets is None:
+            self._sets = config_sets("objects", self.search_path)
+        return self._sets
 
     def _object_config(self, object_id: str) -> ObjectConfig:
         if object_id not in self._objects:

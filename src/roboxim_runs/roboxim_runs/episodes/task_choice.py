@@ -277,8 +277,8 @@ def _set_models(data: dict[str, Any], item: str) -> None:
     role, _, models = item.rpartition("=")
     names = [name.strip() for name in models.split(",")]
     for name in names:
-        if name not in library.object_ids:
-            raise ConfigError(f"--object {item}: unknown object '{name}'; {one_of(library.object_ids, name)}")
+        if name not in library.known_objects and name not in library.object_sets:
+            raise ConfigError(f"--object {item}: unknown object '{name}'; {library.objects_like(name)}")
     config = data.setdefault("objects", {}).setdefault(role or "target", {}) or {}
     set_models(config, names, library)
     data["objects"][role or "target"] = config
@@ -310,7 +310,8 @@ def set_models(section: dict[str, Any], names: Sequence[str], library: ModelLibr
     modifiers = {}
     for kind, given in (section.get("modifiers") or {}).items():
         choice = given if isinstance(given, dict) else Choice.from_short(given)
-        takers = [taken[kind] for taken in map(library.object_modifiers, names) if kind in taken]
+        taken_by = map(library.object_modifiers, library.expanded(names))
+        takers = [taken[kind] for taken in taken_by if kind in taken]
         kept = choice
         if kind != "scale" and kind not in PHYSICAL:
             kept = _only(choice, {word for taker in takers for word in taker.words(kind)})

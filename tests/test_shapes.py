@@ -1,0 +1,49 @@
+"""The set of shapes: a hundred objects that imports have made, each named by what one sees and by nothing else."""
+
+from __future__ import annotations
+
+import pytest
+import yaml
+
+from roboxim_core.config import config_dir
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.modifiers import PALETTE
+
+LIBRARY = ModelLibrary()
+SHAPES = LIBRARY.object_sets["shapes"]
+FOLDER = config_dir() / "objects" / "shapes"
+DATA = {name: yaml.safe_load((FOLDER / f"{name}.yaml").read_text()) for name in SHAPES}
+
+
+def words(name: str) -> tuple[str, str, str]:
+    """Return size, colour and shape word of a shape's name."""
+    *size, colour, shape = DATA[name]["name"].split()
+    return " ".join(size), colour, shape
+
+
+def test_there_are_a_hundred_each_graspable_and_beside_their_licence():
+    assert len(SHAPES) == 100
+    assert all("graspable" in data["affordances"] and data["grasps"] for data in DATA.values())
+    assert "zlib" in (FOLDER / "LICENSE").read_text()
+
+
+def test_colour_and_shape_word_fit_one_shape_alone():
+    assert len({words(name)[1:] for name in SHAPES}) == len(SHAPES)
+    others = {word for name in LIBRARY.object_ids for word in LIBRARY.object(name).name.split()}
+    assert not others & {words(name)[2] for name in SHAPES}, "a word that another object has"
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_name_says_what_is_seen(name):
+    size, colour, _ = words(name)
+    assert name == DATA[name]["name"].replace(" ", "_")
+    (visual,) = DATA[name]["links"][0]["visual"]
+    assert tuple(visual["material"]["color"]) == PALETTE[colour]
+    longest = max(DATA[name]["size"])
+    assert size == ("small" if longest < 0.075 else "large" if longest >= 0.095 else "")
+
+
+def test_sizes_and_colours_vary():
+    sizes = [words(name)[0] for name in SHAPES]
+    assert min(sizes.count(size) for size in ("small", "", "large")) >= 8
+    assert len({words(name)[1] for name in SHAPES}) == len(PALETTE)
