@@ -309,7 +309,8 @@ class ExperimentConfig:
     """What differs from the thesis, a sentence each."""
     factors: dict[str, Any]
     """Factor to its levels. A list: tasks of ``config/tasks`` (factor ``task``) or object models (a role, e.g.
-    ``target``). A mapping: level to the keys of the task that it sets, e.g. ``camera: {left: {reset: ...}}``."""
+    ``target``). A mapping: level to the keys of the task that it sets, e.g. ``camera: {left: {reset: ...}}``. Object
+    models may be drawn by seed: ``target: {draw: {set: shapes, count: 60, hold_out: 15, seed: 1}}``."""
     dimensions: dict[str, str] = field(default_factory=dict)
     """Factor to the benchmark's dimension that it varies, e.g. ``{task: skill, target: object}``."""
     unseen: tuple[dict[str, str], ...] = ()

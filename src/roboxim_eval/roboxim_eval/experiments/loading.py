@@ -12,6 +12,7 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.merging import merged
 from roboxim_eval.experiments.combinations import expanded, names_of
 from roboxim_eval.experiments.config import FULL, TASK, ExperimentConfig, Match
+from roboxim_eval.experiments.drawing import with_draws
 from roboxim_eval.experiments.trainers import TRAINERS
 
 
@@ -30,7 +31,7 @@ def experiment_config(
     Raises:
         ConfigError: When keys are wrong; names each with its path, its line and the allowed values.
     """
-    config: ExperimentConfig = from_plain(data, ExperimentConfig, source=source)
+    config: ExperimentConfig = from_plain(with_draws(data, source), ExperimentConfig, source=source)
     _check(config, data, source, trainers)
     names = scale_names(config)
     if scale not in names:
@@ -39,7 +40,7 @@ def experiment_config(
         return expanded(config)
     scaled = merged(data, {**config.scales[scale], "scales": None})
     where = f"{source}, scale '{scale}'"
-    small: ExperimentConfig = from_plain(scaled, ExperimentConfig, source=where)
+    small: ExperimentConfig = from_plain(with_draws(scaled, where), ExperimentConfig, source=where)
     _check(small, scaled, where, trainers)
     return replace(expanded(small), scales=config.scales)
 

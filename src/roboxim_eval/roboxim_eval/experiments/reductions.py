@@ -12,6 +12,8 @@ from roboxim_eval.experiments.config import ExperimentConfig
 
 WORDING = ("about", "thesis", "deviations", "scales")
 """Keys of an experiment without effect on its work; ``about`` of a condition also has none."""
+MANY = 12
+"""Entries of a list from which their number is stated instead of the list."""
 ZEROS = {"max_steps": "as the task says", "steps": "as the trainer says"}
 """Keys whose value 0 means a number from another file."""
 
@@ -70,14 +72,14 @@ def _changes(path: tuple[str, ...], before: Any, now: Any) -> Iterator[str]:
                 yield from _changes((*path, key), before[key], now[key])
     elif isinstance(before, Mapping) or isinstance(now, Mapping):
         yield f"{'without' if isinstance(before, Mapping) else 'with'} {name}"
-    elif _entries(before) and _entries(now):
+    elif isinstance(now, list) and now and _entries(before):
         yield f"{name} {'other entries' if len(now) == len(before) else f'{len(now)} instead of {len(before)} entries'}"
     else:
         yield f"{name} {_text(path, now)} instead of {_text(path, before)}"
 
 
 def _entries(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and isinstance(value[0], Mapping)
+    return isinstance(value, list) and bool(value) and (isinstance(value[0], Mapping) or len(value) >= MANY)
 
 
 def _text(path: tuple[str, ...], value: Any) -> str:

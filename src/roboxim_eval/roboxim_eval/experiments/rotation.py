@@ -3,6 +3,7 @@
 An experiment with one held-out set measures a policy in those cells. A rotated one consists of parts, each an ordinary
 experiment with a held-out set of its own and trainings of its own. The sets are disjoint, like the symbols of a Latin
 square: each holds out every level of every factor about equally often, and every level remains in the training.
+Where objects alone vary, the sets are disjoint groups of objects, each of which one part never sees.
 
 `roboxim_eval.statistics.rotated` joins the parts' results.
 """
@@ -29,7 +30,8 @@ def held_out_sets(cells: Sequence[Cell], sets: int, held_out: int) -> tuple[tupl
     """Choose disjoint sets of cells to hold out.
 
     In each set the levels of a factor are held out equally often, or nearly so where the number of cells does not
-    divide by that of the levels. Every level keeps a cell that is seen. The same arguments give the same sets.
+    divide by that of the levels. Every level keeps a cell that is seen, unless each level of the factor has one cell,
+    as where objects alone vary. The same arguments give the same sets.
 
     Args:
         cells: All cells.
@@ -82,10 +84,10 @@ def held_out_sets(cells: Sequence[Cell], sets: int, held_out: int) -> tuple[tupl
 
 
 def _levels(cells: Sequence[Cell]) -> Iterator[list[int]]:
-    """Yield the places of the cells with each level of each factor that has several levels."""
+    """Yield the places of the cells with each level of each factor that has several levels and not one cell each."""
     for factor in cells[0].levels:
         levels = dict.fromkeys(cell.levels[factor] for cell in cells)
-        if len(levels) > 1:
+        if 1 < len(levels) < len(cells):
             for level in levels:
                 yield [place for place, cell in enumerate(cells) if cell.levels[factor] == level]
 
