@@ -108,7 +108,7 @@ def test_run_survives_a_killed_server_that_is_started_again(tmp_path, expected):
     assert result.first.measured
     assert [text.partition(":")[0] for text in fate.told] == [
         "waiting up to 120 s for the policy's server",
-        "the policy's server is back; the run goes on",
+        "the policy's server is back; the run continues",
     ]
 
 

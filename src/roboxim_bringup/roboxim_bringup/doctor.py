@@ -259,7 +259,7 @@ def _graph() -> Finding:
             server.add(probe)
             clients.call(Empty, "probe", Empty.Request(), timeout_s=60)
     except RoboximError as error:
-        remedy = "see what the message says; in a container, share /dev/shm with the other processes (--ipc)"
+        remedy = "see the message; in a container, share /dev/shm with the other processes (--ipc)"
         without = "nodes do not discover each other"
         return _rated("graph", False, str(error), "missing", remedy=remedy, without=without)
     return _rated("graph", True, f"first answer after {time.monotonic() - started:.2f} s")

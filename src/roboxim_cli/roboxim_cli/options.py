@@ -311,7 +311,7 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
         option("seed"),
         option(
             "workers", default=min(2, os.cpu_count() or 1), show_default="cores, at most 2",
-            help="Processes, each with a whole graph.",
+            help="Processes, each with its own graph.",
         ),
         option("size", help="Image size of cameras for which the policy states none."),
         *(option(name) for name in ("rate", "renderer", "depth", "segmentation", "repair", "shard", "store")),

@@ -59,7 +59,7 @@ FORMATS: Registry[type[DatasetFormat]] = Registry("dataset format")
 @FORMATS.conformance
 def has_every_part(name: str, item: type[DatasetFormat]) -> None:
     """Refuse a format that the commands could not offer: it needs help, options, methods."""
-    assert (item.__doc__ or "").strip(), "it has no docstring, whose first line names it for people"
+    assert (item.__doc__ or "").strip(), "it has no docstring, whose first line is its title"
     made = item()
     missing = [method for method in ("find", "open", "path", "create") if not callable(getattr(made, method, None))]
     assert not missing, f"it has no method {', '.join(missing)}; see DatasetFormat"

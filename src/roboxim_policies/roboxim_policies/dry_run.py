@@ -252,7 +252,7 @@ def _of_speed(mean: float, per_second: float, expert: float, unit: str) -> list[
     speed = mean * per_second
     if not per_second or expert <= 0 or 1 / SPEED_RATIO <= speed / expert <= SPEED_RATIO:
         return []
-    rate = f"; the convention says {per_second:g} Hz" if per_second != 1.0 else ""
+    rate = f"; the convention states {per_second:g} Hz" if per_second != 1.0 else ""
     return [f"wrong rate or scale? the mean speed is {speed:.2g} {unit}, the expert's {expert:.2g} {unit}{rate}"]
 
 

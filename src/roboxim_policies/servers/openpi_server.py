@@ -329,7 +329,7 @@ def _kernel_tells() -> bool:
             with server.accept()[0] as accepted:
                 return _user_of_peer(accepted) is not None
         except (OSError, AttributeError):
-            print("every user of this machine can connect: the kernel does not tell users apart", file=sys.stderr)
+            print("every user of this machine can connect: the kernel does not report users", file=sys.stderr)
             return False
 
 

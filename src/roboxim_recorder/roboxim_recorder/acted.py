@@ -52,7 +52,7 @@ def acted_by(reader: BagReader) -> tuple[ActedBy, ...]:
         return (actor_of(reader.info),) * steps
     names = [message.data for _, _, message in reader.messages((topics.ACTED_BY,))]
     if len(names) != steps:
-        raise damaged(reader.path, f"it says of {len(names)} actions who acted, but it has {steps}")
+        raise damaged(reader.path, f"it names the actor of {len(names)} actions, but it has {steps}")
     for name in names:
         if name not in list(ActedBy):
             raise damaged(reader.path, f"'{name}' acted in it; {one_of(ActedBy, name)}")

@@ -85,7 +85,7 @@ class ActionCall:
             check,
         )
         if not handle.accepted:
-            raise InvalidRequestError(f"action '{self.name}' rejected the goal; its node's log says why")
+            raise InvalidRequestError(f"action '{self.name}' rejected the goal; see its node's log for the reason")
         try:
             answer = self._wait(self._clients.in_thread(handle.get_result_async), deadline, check)
         except BaseException:

@@ -133,7 +133,7 @@ def test_the_command_imports_what_it_can_and_tells_of_the_rest(tmp_path):
     assert set(model["affordances"]) >= {"graspable", "support"}
     again = CliRunner().invoke(group, arguments[:3] + arguments[4:])
     assert again.exit_code == 0
-    assert "is there already" in again.output
+    assert "exists; --again" in again.output
 
 
 def test_an_object_that_hides_a_built_in_one_says_so(tmp_path):

@@ -84,7 +84,7 @@ class StandardServices:
     def _reset(self, request: Any, response: Any) -> None:
         if request.scope not in (request.SCOPE_DEFAULT, request.SCOPE_ALL):
             response.result.result = Result.RESULT_FEATURE_UNSUPPORTED
-            response.result.error_message = "the world is always rebuilt as a whole; use SCOPE_ALL"
+            response.result.error_message = "the world is always rebuilt completely; use SCOPE_ALL"
             return
         self._world.require_free("reset the simulation")
         self._node.load(self._world.first_scene)

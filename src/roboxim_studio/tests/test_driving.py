@@ -108,7 +108,7 @@ def test_a_tap_is_one_tick_and_a_page_that_falls_silent_moves_nothing(studio, tm
     commanded = first.state.robot.pose_tcp_commanded.position[2]
     assert commanded == pytest.approx(first._recorder._states[0].robot.pose_tcp_commanded.position[2] + 0.06, abs=1e-4)
     assert "target from the tool: " in panel._lamps.content
-    assert "you act; time stands still until you move" in panel._lamps.content
+    assert "you act; time stops until you move" in panel._lamps.content
     panel.begin().result(timeout=120)
     assert f"set apart as {tmp_path.name}/set_apart/" in panel._message.content
 

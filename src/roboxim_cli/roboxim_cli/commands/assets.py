@@ -118,7 +118,7 @@ def check(targets: tuple[str, ...]) -> None:
     "--gripper", type=Named("gripper"), default="franka_hand", show_default=True, help="Gripper that shall grasp it."
 )
 @click.option("--thorough", is_flag=True, help="Cut into finer convex parts: minutes a mesh instead of seconds.")
-@click.option("--again", is_flag=True, help="Import also what is already in the folder.")
+@click.option("--again", is_flag=True, help="Also import objects that are already in the folder.")
 def import_(
     meshes: tuple[Path, ...],
     out: Path,
@@ -152,7 +152,7 @@ def import_(
         for number, mesh in enumerate(meshes):
             object_id = object_id_of(mesh)
             if not again and (out / "objects" / f"{object_id}.yaml").is_file():
-                line.say(f"{object_id}: is there already; --again imports it again")
+                line.say(f"{object_id}: exists; --again imports it again")
                 names.append(object_id)
                 continue
             line.update(number, object_id)

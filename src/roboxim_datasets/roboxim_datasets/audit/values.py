@@ -27,7 +27,7 @@ Flags = npt.NDArray[np.bool_]
 
 NO_TRUTH = "the dataset holds no state of the scene; name the bags that it was exported from (--bags)"
 """Why a check that needs ground truth cannot run on a dataset alone."""
-NO_EXPECTED = "nothing says what its values should be; name its bags (--bags) or another dataset of it (--against)"
+NO_EXPECTED = "its expected values are unknown; name its bags (--bags) or another dataset of it (--against)"
 """Why a dataset alone is not compared value by value."""
 
 

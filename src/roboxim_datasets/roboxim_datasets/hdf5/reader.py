@@ -102,7 +102,7 @@ class Hdf5Dataset(Dataset):
 
     def _own_content(self) -> Hdf5Content:
         if self.depth_unit_m:
-            raise InvalidRequestError(f"{self.file} says itself what its depth means; leave --depth-unit out")
+            raise InvalidRequestError(f"{self.file} states the unit of its depth; leave --depth-unit out")
         try:
             content = parse_json(self._attributes[ATTRIBUTE], source=str(self.file))
             return Hdf5Content.from_json(content, str(self.file))

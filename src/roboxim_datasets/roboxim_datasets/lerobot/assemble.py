@@ -193,7 +193,7 @@ class _Version30:
             place = {"meta/episodes/chunk_index": chunk, "meta/episodes/file_index": file}
             table = pa.Table.from_pylist([{**row, **place} for row in self._rows])
             if self._episodes.write(table) != (chunk, file):
-                raise AssertionError("the table of episodes went to another file than it says")
+                raise AssertionError("the table of episodes was written to a file other than the one that it names")
             self._rows = []
 
     def texts(self, names: tuple[str, str], texts: list[str]) -> None:

@@ -139,7 +139,7 @@ def layout_of(description: Description, content: LeRobotContent, options: LeRobo
     features, fps = description.features, round(description.fps)
     if not description.fps:
         raise InvalidRequestError(
-            "nobody states the steps per second of the episodes, which a LeRobot dataset needs; state them: --fps 10"
+            "the steps per second of the episodes are unknown, but a LeRobot dataset needs them: give e.g. --fps 10"
         )
     if fps < 1 or fps != description.fps:
         raise InvalidRequestError(

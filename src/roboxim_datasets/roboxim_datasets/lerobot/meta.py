@@ -123,7 +123,7 @@ class LeRobotMeta:
 
     def _own_content(self) -> LeRobotContent:
         if self.depth_unit_m:
-            raise InvalidRequestError(f"{self.path} says itself what its depth means; leave --depth-unit out")
+            raise InvalidRequestError(f"{self.path} states the unit of its depth; leave --depth-unit out")
         data = tables.json_object(self.path, ROBOXIM_FILE)
         content = LeRobotContent.from_json(data, str(self.path / ROBOXIM_FILE))
         for key in (*content.cameras, *content.vectors, *content.signals, content.names.action):

@@ -270,7 +270,7 @@ def test_a_unit_that_nothing_needs_is_refused(tmp_path: Path) -> None:
     own = converted(open_dataset(with_depth(tmp_path / "b"), depth_unit_m=UNIT_M), tmp_path / "c", "hdf5")
     converted(own, tmp_path / "d", "lerobot", LeRobotOptions(images=True))
     for place in ("c", "d"):
-        with pytest.raises(InvalidRequestError, match="says itself what its depth means"):
+        with pytest.raises(InvalidRequestError, match="states the unit of its depth"):
             open_dataset(tmp_path / place, depth_unit_m=UNIT_M)
 
 

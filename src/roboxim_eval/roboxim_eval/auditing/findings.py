@@ -162,7 +162,7 @@ def _nan(p: Probes) -> Statements:
 
 def _says_success(p: Probes) -> Statements:
     if not _verdicts(_whole(p)):
-        yield "no step says whether the task succeeded (is_success or success in info)"
+        yield "no step states whether the task succeeded (is_success or success in info)"
 
 
 def _no_motion(p: Probes) -> Statements:
@@ -176,7 +176,7 @@ def _random(p: Probes) -> Statements:
 def _without_skill(traces: Sequence[Trace], how: str) -> Statements:
     verdicts = _verdicts(traces)
     if not verdicts:
-        yield "? no episode says whether it succeeded"
+        yield "? no episode states whether it succeeded"
     elif success_rate(sum(verdicts), len(verdicts)).low > TOO_EASY:
         yield f"{how} episodes succeed: {_rate(traces)}"
 
@@ -196,7 +196,7 @@ def _reward(p: Probes) -> Statements:
         if success is not None
     ]
     if not steps:
-        yield "? no step says whether it succeeded"
+        yield "? no step states whether it succeeded"
         return
     levels = {reward for reward, _ in steps}
     good = [reward for reward, success in steps if success]

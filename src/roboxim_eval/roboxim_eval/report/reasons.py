@@ -19,7 +19,7 @@ EXPLANATIONS = {
     "not_flipped": "The lever was not turned to its other side.",
     "not_by_finger_alone": "The lever or knob turned, but not under fingers alone.",
     "not_inside": "The object is not inside the container.",
-    "not_on_support": "The object does not rest on what it was to be placed on.",
+    "not_on_support": "The object does not rest on its support.",
     "not_on_table": "The object does not stand on the table.",
     "not_upright": "The object does not stand upright.",
     "not_in_direction": "The object is not on the side that the instruction names.",
@@ -59,7 +59,7 @@ EXPLANATIONS = {
     "too_fast": "The tool moved faster than the task's limit allows.",
     "path_too_long": "The tool's path was longer than the task's limit allows.",
     "touched_distractors": "The robot touched more objects that the task is not about than its limit allows.",
-    "in_keep_out": "The robot, or what it moved, was in a volume that the task says to keep out of.",
+    "in_keep_out": "The robot, or what it moved, was in a keep-out volume of the task.",
     "left_workspace": "The tool left the workspace for good.",
     # errors: the policy, not the task
     "policy_fault": "The policy raised an error. The episode counts as failed.",

@@ -121,7 +121,7 @@ def _read(file: io.BufferedReader) -> Arrays:
     for key in _Reader(file).load():
         storage = reader.storages[key]
         if int.from_bytes(file.read(8), "little") != storage.count:
-            raise ValueError("a storage has another length than it says")
+            raise ValueError("a storage's length differs from its declaration")
         size = storage.count * storage.kind.itemsize
         if len(content := file.read(size)) != size:
             raise ValueError("it ends early")

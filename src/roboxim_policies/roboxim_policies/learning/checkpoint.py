@@ -220,7 +220,7 @@ def policy_only(path: Path, pretraining: Mapping[str, Any] | None = None) -> byt
         raise ConfigError(f"{file} has the averaged weights only already")
     averaged = whole.arrays[-1]
     if _digest(averaged) != whole.digest:
-        raise ConfigError(f"{file} is damaged: its averaged weights have another hash than its description says")
+        raise ConfigError(f"{file} is damaged: the hash of its averaged weights differs from its description")
     description = {**read_description(path), ORIGINAL: hashlib.sha256(file.read_bytes()).hexdigest()}
     if pretraining:
         description["pretraining"] = dict(pretraining)

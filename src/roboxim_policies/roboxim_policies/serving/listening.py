@@ -137,7 +137,7 @@ def _kernel_tells(log: Callable[[str], None]) -> bool:
             with server.accept()[0] as accepted:
                 return user_of_peer(accepted) is not None
         except (OSError, AttributeError) as error:
-            log(f"every user of this machine can connect: the kernel does not tell users apart ({error})")
+            log(f"every user of this machine can connect: the kernel does not report users ({error})")
             return False
 
 

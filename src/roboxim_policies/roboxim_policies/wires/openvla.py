@@ -167,8 +167,8 @@ class OpenVlaWire(Wire):
         reply = decode(self._post(encode({**request, **extra}, double=self._double), deadline))
         if isinstance(reply, str) and reply == "error":
             raise fault(
-                f"{self.server} answered 'error'; its own log says why. Usual causes: a wrong or missing unnorm_key, "
-                "keys that the model does not expect"
+                f"{self.server} answered 'error'; see its log for the reason. Usual causes: a wrong or missing "
+                "unnorm_key, keys that the model does not expect"
             )
         if isinstance(reply, str | dict):
             raise fault(f"{self.server} answered without actions: {quoted(reply)}")

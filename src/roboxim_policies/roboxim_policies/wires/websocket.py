@@ -156,7 +156,7 @@ class WebSocket:
             return
         except ConnectionClosed as error:
             raise self._lost(error) from None
-        raise fault(f"{self._server} sent a message of {len(message)} bytes that nobody asked for")
+        raise fault(f"{self._server} sent a message of {len(message)} bytes without a request")
 
     def abort(self) -> None:
         """Close the connection at once. Its thread ends with it."""

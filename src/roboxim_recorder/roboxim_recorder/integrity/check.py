@@ -179,7 +179,7 @@ class _BagCheck:
         check, result = self._check, self.result
         actors = self._counts[topics.ACTED_BY]
         if actors and result is not None and actors != result.steps:
-            yield f"it says of {actors} actions who acted, but it has {result.steps}"
+            yield f"it names the actor of {actors} actions, but it has {result.steps}"
         if check is not None:
             yield from check.end_problems()
         if check is None or result is None:

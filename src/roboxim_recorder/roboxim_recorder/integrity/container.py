@@ -51,7 +51,7 @@ def container_problems(data: memoryview) -> Iterator[str]:
         yield "it has no footer"
         return
     if not magic + _DATA_END.size <= start <= footer and (start or _library(data) == LIBRARY.encode()):
-        yield f"its footer says that the summary begins at byte {start}, which cannot be"
+        yield f"its footer says that the summary begins at byte {start}, which is impossible"
         return
     own = _library(data) == LIBRARY.encode()
     if not start and not own:  # written without a summary

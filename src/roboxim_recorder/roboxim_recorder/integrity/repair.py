@@ -255,7 +255,7 @@ class _Repair:
         elif not found.kept and found.check is None:
             reasons.append(found.problems[-1] if found.problems else "the episode's info is lost")
         elif not found.kept:
-            reasons.append("no tick before the gap is whole")
+            reasons.append("no tick before the gap is complete")
         return RepairReport(
             source=self._source,
             target=target,

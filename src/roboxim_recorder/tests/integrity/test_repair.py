@@ -170,7 +170,7 @@ def test_the_new_bag_never_lies_in_the_original(bag):
     ("content", "reason"),
     [
         (b"", "info is lost"), (b"garbage", "info is lost"), (None, "info is lost"),
-        ("first chunk", "info is lost"), ("first tick", "no tick before the gap is whole"),
+        ("first chunk", "info is lost"), ("first tick", "no tick before the gap is complete"),
     ],
 )  # fmt: skip
 def test_without_a_tick_nothing_is_written(bag, content, reason):

@@ -79,7 +79,7 @@ class AuditConfig:
         for name in self.checks:
             AUDIT_CHECKS[name]
         if self.against is not None and self.bags:
-            raise ConfigError("give bags or another dataset, not both: each says what the values should be")
+            raise ConfigError("give bags or another dataset, not both: each defines the expected values")
         for name in ("episodes", "pictures"):
             if getattr(self, name) < 0:
                 raise ConfigError(f"{name} must be >= 0, got {getattr(self, name)}")
@@ -192,7 +192,7 @@ def _entries(path: Path, config: AuditConfig) -> tuple[int, Iterator[_Entry], Ex
     max_entries = config.episodes or None
     if holds_bags(path):
         bags = ([path] if path.is_file() else list(run_bags(path).paths))[:max_entries]
-        why = "bags are what was recorded; a dataset is compared with them"
+        why = "bags are the reference; a dataset is compared with them"
         return len(bags), (_Entry(name=bag.name, bag=bag, exact_images=True) for bag in bags), why
     dataset = open_dataset(path)
     count = min(len(dataset), max_entries or len(dataset))

@@ -51,7 +51,7 @@ class BagFinder:
                     raise
                 continue
             if fits and whole != name:
-                return None, f"it has the steps of one actor of {path}; export the episode whole, without --acted-by"
+                return None, f"it has the steps of one actor of {path}; export the complete episode, without --acted-by"
             if fits:
                 trimmed = _trimmed(episode, reader)
                 return (None, trimmed) if trimmed else (path, "")
@@ -81,7 +81,7 @@ def _trimmed(episode: Episode, bag: BagReader) -> str:
     whole = bag.result.steps * (episode.fps or recorded_hz) / recorded_hz
     if abs(episode.length - whole) < 1:
         return ""
-    return f"it was trimmed ({episode.length} steps, its bag has {whole:.0f} at this rate); export it whole"
+    return f"it was trimmed ({episode.length} steps, its bag has {whole:.0f} at this rate); export it untrimmed"
 
 
 def _below(folder: Path, names: Sequence[str]) -> Iterator[Path]:

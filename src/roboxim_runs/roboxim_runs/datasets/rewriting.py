@@ -68,7 +68,7 @@ def _opened(source: Path, instruction: str, depth_unit_m: float) -> Dataset:
         if depth_unit_m:
             raise ConfigError(f"{source} is a bag, whose depth is in metres; leave --depth-unit out")
         if not instruction:
-            raise ConfigError(f"{source} is a bag of a driven graph, which does not say what was done: --instruction")
+            raise ConfigError(f"{source} is a bag of a driven graph, which states no instruction: give --instruction")
         return DrivenDataset(source, instruction)
     if instruction:
         raise ConfigError(f"{source} is no bag of a driven graph: a dataset has instructions of its own")

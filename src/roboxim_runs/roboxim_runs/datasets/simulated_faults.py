@@ -129,7 +129,7 @@ class SuccessUndone(SimulatedFault):
 class InaccurateControl(SimulatedFault):
     """A miss and its correction (thesis 6.1.2, issue 2)."""
 
-    title = "a grasp or touch 3 cm beside, and a retreat"
+    title = "a grasp or touch 3 cm next to the object, and a retreat"
     found_by = "inaccurate_control"
 
     def plans(self, recorded: Recorded, sim: Reenactor, rng: np.random.Generator) -> Iterator[Plan]:

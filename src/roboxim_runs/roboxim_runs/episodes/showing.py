@@ -36,7 +36,7 @@ NOTHING_PRINTED = (
 )
 MAX_LOG_LINES = 400
 """Largest number of lines of the policy's output; the first and the last ones are shown."""
-NOBODY = "Nobody else acted in this scene; roboxim show {} --expert plans the expert's way beside it."
+NOBODY = "No other policy acted in this scene; roboxim show {} --expert adds the expert's plan."
 _NODE_LINE = re.compile(r"\[(DEBUG|INFO|WARN|ERROR|FATAL)\] \[[\d.]+\] \[")
 
 
@@ -246,7 +246,7 @@ def printed(run: Path, index: int) -> tuple[str, str]:
         )
     if not logs:
         return "", "The logs of its run are not beside its bag."
-    return "", "The logs of its run do not tell its episodes apart: it ran elsewhere, or with an earlier version."
+    return "", "The logs of its run do not separate episodes: it ran elsewhere, or with an earlier version."
 
 
 def expert_way(info: EpisodeInfo, folder: Path, *, renderer: str = "raster") -> Other:

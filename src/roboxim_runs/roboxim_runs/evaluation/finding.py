@@ -53,7 +53,7 @@ def find_episode(place: Path, number: int | None = None, policy: str = "") -> Fo
     if (place / EXPERIMENT_FILE).exists():
         raise ConfigError(_of_an_experiment(place, number))
     if number is not None:
-        raise ConfigError(f"{place} has no {RESULTS_FILE}, so it is no run whose episode {number} could be shown")
+        raise ConfigError(f"{place} has no {RESULTS_FILE}, so it is not a run with an episode {number}")
     if place.is_dir() and not any(place.glob("*.mcap")) and not any(place.glob("*.db3")):
         raise ConfigError(f"{place} is neither a bag nor the folder of a run or an evaluation{inside(place)}")
     bag = mcap_file(place)

@@ -208,18 +208,18 @@ def unpack(file: Path, out: Path) -> Pack:
             for name, expected in manifest.items():
                 archive.extract(archive.getmember(name), partial, filter="data")
                 if file_sha256(partial / name) != expected:
-                    raise ConfigError(f"{file} is damaged: {name} has another hash than its manifest says")
+                    raise ConfigError(f"{file} is damaged: {name} has a hash that differs from its manifest")
         if out.exists():
             out.rmdir()
         partial.replace(out)
     except (tarfile.TarError, EOFError, KeyError, zlib.error, UnicodeDecodeError, ValueError) as error:
-        raise ConfigError(f"{file} is no whole pack: {error}") from None
+        raise ConfigError(f"{file} is not a complete pack: {error}") from None
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise RoboximError(
                 f"cannot write {out}: {error.strerror}; free some space and run again", ErrorCode.DISK
             ) from None
-        raise ConfigError(f"{file} is no whole pack: {error}") from None
+        raise ConfigError(f"{file} is not a complete pack: {error}") from None
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return Pack(path=out, files=len(manifest), size=file.stat().st_size, originals=originals)

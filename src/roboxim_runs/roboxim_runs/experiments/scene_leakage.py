@@ -114,7 +114,7 @@ def _not_substituted(design: Design) -> Iterator[str]:
     if not allowing:
         yield (
             "No held-out scene allows another instruction of the training to be carried out, so substitution cannot "
-            "happen here and its 0 says nothing."
+            "happen here and its 0 has no meaning."
         )
     elif allowing < len(scenes):
         yield (

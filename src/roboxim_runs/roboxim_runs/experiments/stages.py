@@ -222,7 +222,7 @@ class Stages:
             if name in stages:
                 found += prove_trained_on(self._folder(name), self._claim(stages[stages[name].needs[0]]))
             else:
-                found += Tally(statements=(f"{name} took place elsewhere: nothing proves what it was trained on",))
+                found += Tally(statements=(f"{name} took place elsewhere: its training data are unproven",))
         again = self._judge_again(stage, stages, arms, excluded)
         self._store(stage, found, excluded, again)
 

@@ -287,7 +287,7 @@ def _checkpoints(chosen: dict[str, ChosenPolicy], words: Sequence[str]) -> dict[
         kinds = Counter(chosen[name].spec for name in open_ones)
         if len(kinds) > 1:
             raise ConfigError(
-                f"--checkpoint {path}: {' and '.join(open_ones)} take one; say which it is for, e.g. --checkpoint "
+                f"--checkpoint {path}: {' and '.join(open_ones)} take one; name the policy, e.g. --checkpoint "
                 f"{open_ones[0]}={path}"
             )
         found |= dict.fromkeys(open_ones, path)

@@ -96,4 +96,4 @@ class Waiting:
             self._jobs.add(note.key)
             return "" if waited else text
         self._jobs.clear()
-        return "the policy's server is back; the run goes on" if waited else ""
+        return "the policy's server is back; the run continues" if waited else ""

@@ -153,7 +153,7 @@ def _gripper(model: RobotModel) -> tuple[bool, str]:
         apart.append(float(np.linalg.norm(np.subtract(left, right))))
     moved, stated = apart[1] - apart[0], tool.max_opening_m - (tool.opening_map[0][0] if tool.opening_map else 0.0)
     return abs(moved - stated) < 1e-3, (
-        f"finger tips part by {1000 * moved:.1f} mm, the opening says {1000 * stated:.1f} mm"
+        f"finger tips open by {1000 * moved:.1f} mm, the stated opening is {1000 * stated:.1f} mm"
     )
 
 

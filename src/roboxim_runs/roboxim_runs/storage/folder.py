@@ -184,7 +184,7 @@ class RunFolder:
         if unchecked:
             found.append(
                 f"{self.log.path} cannot be checked whole: lines without a checksum, which an earlier version wrote: "
-                f"{unchecked}. An edit of them would not be noticed."
+                f"{unchecked}. Edits of them cannot be detected."
             )
         config = self.config() if (self.path / RUN_FILE).exists() else {}
         there = {result.index for result in self.results()}

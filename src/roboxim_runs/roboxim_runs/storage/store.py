@@ -103,7 +103,7 @@ class Store:
         self._tried(f"upload {name}", upload)
         if self._tried(f"read {name} back", lambda: self._remote_sha256(target)) != facts["sha256"]:
             raise RecorderError(
-                f"{self.url}/{name} differs from what was uploaded; upload again", ErrorCode.BAG_DAMAGED
+                f"{self.url}/{name} differs from the uploaded file; upload again", ErrorCode.BAG_DAMAGED
             )
         return facts
 

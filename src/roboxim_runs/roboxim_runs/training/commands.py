@@ -230,7 +230,7 @@ def _fail(failed: _Training, others: Sequence[_Training]) -> None:
     Raises:
         RoboximError: Always.
     """
-    others_text = f"\ninterrupted beside it: {', '.join(map(str, others))}" if others else ""
+    others_text = f"\nalso interrupted: {', '.join(map(str, others))}" if others else ""
     raise RoboximError(
         f"{failed.stage.name}: {shlex.join(failed.words)} ended with {describe_exit(failed.process.returncode)}; the "
         f"same command continues; the end of {failed.log}:\n{last_lines(failed.log)}{others_text}"

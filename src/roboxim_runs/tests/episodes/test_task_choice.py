@@ -59,7 +59,7 @@ def test_modifiers_that_no_model_takes_are_dropped_and_the_default_is_the_main_j
         ({"task": "skill_object_baseline", "objects": ("cube",)}, ["mix", "--object"]),
         ({"distractors": "many"}, ["--distractors", "1-3"]),
         ({"skill": "put_into", "objects": ("banana",)}, ["objects", "the banana is too long for the bowl"]),
-        ({"skill": "put_into", "objects": ("bottle",)}, ["the bottle stands out of the bowl"]),
+        ({"skill": "put_into", "objects": ("bottle",)}, ["the bottle sticks out of the bowl"]),
         ({"skill": "stack", "objects": ("tray",)}, ["the tray is too long to lie on the cube", "on the block"]),
     ],
 )

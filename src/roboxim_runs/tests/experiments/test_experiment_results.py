@@ -324,7 +324,7 @@ def test_packs_that_are_too_large_or_damaged_are_refused(tmp_path):
     assert list(tmp_path.glob("*small*")) == [], "nothing is left"
     packed = pack(folder.path, tmp_path / "run.tar.gz").path
     packed.write_bytes(packed.read_bytes()[:-200])
-    with pytest.raises(ConfigError, match="is no whole pack"):
+    with pytest.raises(ConfigError, match="is not a complete pack"):
         unpack(packed, tmp_path / "torn")
     with pytest.raises(ConfigError, match="not the folder of an experiment or a benchmark"):
         pack(tmp_path, tmp_path / "none.tar.gz")

@@ -167,7 +167,7 @@ def test_the_axes_of_pick_cube_differ_in_training_and_bc_is_refused_there(tmp_pa
     file.write_text("{command: 'roboxim train bc {dataset} --out {out} --seed {seed} --steps {steps}', policy: bc}")
     with pytest.raises(ConfigError, match="export: 'roboxim train bc .*cannot learn from convention 'roboxim'"):
         load_experiment("pick_cube_axes", trainer=str(file))
-    with pytest.raises(ConfigError, match="uses convention 'octo_finetuned', whatever it was trained with"):
+    with pytest.raises(ConfigError, match="uses convention 'octo_finetuned', regardless of its training"):
         load_experiment("pick_cube_axes", trainer="octo")
     assert load_experiment("pick_cube_axes", trainer="smolvla").trainers["smolvla"].steps == 20000
 

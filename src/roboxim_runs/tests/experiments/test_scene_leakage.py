@@ -20,7 +20,7 @@ PLACES = (
 )
 NEVER = (
     "No held-out scene allows another instruction of the training to be carried out, so substitution cannot happen "
-    "here and its 0 says nothing."
+    "here and its 0 has no meaning."
 )
 SOME = (
     "Only {} of {} held-out cells have scenes that allow another instruction of the training to be carried out; in the "

@@ -135,7 +135,7 @@ def test_run_survives_a_server_that_comes_back(tmp_path, monkeypatch):
     told = [event.text for event in events if isinstance(event, Notice)]
     assert told[0].startswith("waiting up to 60 s for the policy's server: ")
     assert "connection was lost" in told[0]
-    assert told[1:] == ["the policy's server is back; the run goes on"]
+    assert told[1:] == ["the policy's server is back; the run continues"]
     assert len(list((tmp_path / "run").rglob("*.mcap"))) == 2, "the episodes that broke off leave no bag"
 
 

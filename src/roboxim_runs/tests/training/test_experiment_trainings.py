@@ -147,7 +147,7 @@ def test_a_training_that_fails_ends_the_run_and_the_others_save_checkpoints(trai
     assert message.startswith("train/mine.1: ")
     assert "ended with exit code 1" in message
     assert f"the end of {trainers.place}/out/train/mine.1.log:\nno space left on the device" in message
-    assert "interrupted beside it: training mine.0" in message
+    assert "also interrupted: training mine.0" in message
     assert trainers.checkpoint(0) == "half"
     assert "begins 2" not in (trainers.place / "journal").read_text()
 

@@ -110,7 +110,7 @@ def read_film(path: Path, *, in_background: bool = True) -> Film:
     reader = BagReader(path)
     ticks = list(reader.ticks(cameras=()))
     if not ticks:
-        raise RecorderError(f"bag {path} has no tick; 'roboxim bag check' says what it lacks")
+        raise RecorderError(f"bag {path} has no tick; 'roboxim bag check' lists what is missing")
     pictures = Pictures()
 
     def fill() -> None:

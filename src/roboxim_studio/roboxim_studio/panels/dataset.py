@@ -177,7 +177,7 @@ class DatasetPanel:
         with self._lock:
             if self.episode is None or name not in (UNKNOWN, *self._library.robot_ids):
                 return
-            why = "the dataset names no arm that is known here; choose it above, if it is there"
+            why = "the dataset names no known arm; choose one above"
             found: ArmTrack | str = why
             if name != UNKNOWN:
                 found = arm_track(self.episode, self._rows, self._library.robot(name))

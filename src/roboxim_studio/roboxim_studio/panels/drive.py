@@ -106,7 +106,7 @@ class DrivePanel:
                 "Acts with you", (NOBODY, EXPERT, *lab.policies), initial_value=NOBODY,
                 hint="Begins the episode; take over and hand back with T.",
             )  # fmt: skip
-            self._waits = gui.add_checkbox("Time stands still when nothing is held", initial_value=True)
+            self._waits = gui.add_checkbox("Time stops while no input is held", initial_value=True)
             self._speed = gui.add_slider("Speed [m/s]", 0.02, 0.4, 0.01, 0.2)
             start = gui.add_button("Begin an episode")
             buttons = gui.add_button_group("Then", ("End and keep", "Throw away", "Watch it"))
@@ -407,7 +407,7 @@ class DrivePanel:
         if scene is None:
             return
         partner = drive.partner if drive is not None and drive.partner_acts else None
-        actor = f"{partner.name} acts" if partner is not None else "you act; time stands still until you move"
+        actor = f"{partner.name} acts" if partner is not None else "you act; time stops until you move"
         if partner is None and not self._waits.value:
             actor = "you act"
         over = drive is not None and drive.result is not None

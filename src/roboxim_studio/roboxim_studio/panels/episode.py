@@ -190,7 +190,7 @@ class EpisodePanel:
             outcome = "success" if was.success else f"failure, {was.reason}"
             self._judged.content = markup.paragraph(
                 f"with these thresholds: {end}\nrecorded: {outcome}\n"
-                f"{other} of {len(recorded)} ticks are judged otherwise",
+                f"{other} of {len(recorded)} ticks are judged differently",
                 "judged-again",
             )
             self._jump.options = self._jumps(film)

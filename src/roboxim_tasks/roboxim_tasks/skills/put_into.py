@@ -120,7 +120,7 @@ class PutInto(Skill):
         if not fits(target, interior):
             return f"the {target.name} is too long for the {container.name}"
         if target.rest_height > interior.size[2] + RIM_M:
-            return f"the {target.name} stands out of the {container.name}"
+            return f"the {target.name} sticks out of the {container.name}"
         return ""
 
     def generate(self, context: GenerationContext) -> TaskSpec:

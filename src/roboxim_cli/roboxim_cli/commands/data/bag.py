@@ -76,7 +76,7 @@ def check(paths: tuple[Path, ...]) -> None:
 
 @command.command("repair", begins="repairing")
 @click.argument("path", type=_bag)
-@option("out", help="Folder of the new bag; default: the one that the bag lies in.")
+@option("out", help="Folder of the new bag; default: that of the bag.")
 @click.option("--judge", is_flag=True, help="When the result is lost, execute the saved actions again and judge them.")
 def repair(path: Path, out: Path | None, judge: bool) -> None:
     """Save the whole ticks of a damaged bag, up to the first gap, as a new bag in OUT.

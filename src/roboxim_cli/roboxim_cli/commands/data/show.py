@@ -16,7 +16,7 @@ from roboxim_cli.options import option
 @click.option("--policy", default="", metavar="NAME", help="Policy of an evaluation; default: the one under test.")
 @click.option(
     "--expert/--no-expert", default=None,
-    help="Plan the expert's way in the same scene, and show it beside the episode; default: in a page, unless an "
+    help="Plan with the expert in the same scene, and show it next to the episode; default: in a page, unless an "
     "expert is in the evaluation.",
 )  # fmt: skip
 @option("out", help="Write a page with the film to this file, e.g. why.html, instead of text.")

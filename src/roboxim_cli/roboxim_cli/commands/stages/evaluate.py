@@ -28,7 +28,7 @@ from roboxim_cli.options import episode_options, film_options
     help="Argument of policy NAME, or of the first policy; may be repeated.",
 )  # fmt: skip
 @episode_options(episodes=20, out="runs/evaluation")
-@click.option("--max-steps", type=click.IntRange(0), default=0, help="Actions per episode; 0: as the task says.")
+@click.option("--max-steps", type=click.IntRange(0), default=0, help="Actions per episode; 0: the task's limit.")
 @click.option("--window", type=click.IntRange(0), default=0, help="Observations per request; 0: the policy's window.")
 @click.option(
     "--execute", type=click.IntRange(0), default=0,
@@ -64,7 +64,7 @@ from roboxim_cli.options import episode_options, film_options
 @click.option("--policy-timeout", default=120.0, show_default=True, help="Longest wait for an answer [s].")
 @click.option(
     "--server-wait", "server_wait_s", type=click.FloatRange(0), default=180.0, show_default=True, metavar="SECONDS",
-    help="Longest wait for a policy's server that is away; then the run stops, and the same command continues it.",
+    help="Longest wait for a missing policy server; then the run stops, and the same command continues it.",
 )  # fmt: skip
 @click.option(
     "--stop-early", "looks", type=click.IntRange(2), metavar="LOOKS",

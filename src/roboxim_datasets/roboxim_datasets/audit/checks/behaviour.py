@@ -24,7 +24,7 @@ class Behaviour(AuditCheck):
     reason = "The policy learns to act against the instruction, and to ignore the words."
     threshold = (
         f"the {NEIGHBOURS} episodes whose path, gripper and turns are most alike all have another first word in their "
-        f"instruction, and the nearest with its own is {FARTHER:g} times as far as is usual: a warning"
+        f"instruction, and the nearest one with the same verb is {FARTHER:g} times as far as is usual: a warning"
     )
     needs = f"positions, the gripper's opening, and at least {FEWEST} episodes of a verb; objects are not recognised"
     order = 5

@@ -27,7 +27,7 @@ class FrozenCamera(AuditCheck):
     """A camera that repeats its image while the hand moves."""
 
     title = "A camera stands still"
-    reason = "The images belong to other ticks than the actions: the policy learns to act on what was."
+    reason = "The images belong to other ticks than the actions: the policy learns to act on past images."
     threshold = (
         f"{EQUAL_FRAMES} or more images in a row that are equal, while the hand moves by more than {1000 * MOVED_M:g} "
         f"mm; where images are stored with loss, or in {NOISY_FRAMES} and more, equal means that no cell (1/32 of a "
@@ -89,7 +89,7 @@ def _moved(episode: AuditEpisode, camera: str) -> Values:
         return np.asarray(np.linalg.norm(np.diff(episode.proprio["tcp_position"], axis=0), axis=1), float)
     others = [track for name, track in episode.tracks.items() if name != camera]
     if not others:
-        raise CannotCheckError("nothing tells whether the hand moves: no position, no second camera")
+        raise CannotCheckError("the hand's motion is unknown: no position, no second camera")
     return np.asarray(np.where(np.max([track.change for track in others], axis=0) > 4 * EQUAL, 1.0, 0.0), float)
 
 

@@ -53,7 +53,7 @@ class InaccurateControl(AuditCheck):
         worst = int(retreat.argmax())
         problems, ticks = [], [approach.begin, approach.begin + len(distance) - 1]
         if approach.recovered:
-            problems.append("the actor says that it needed another attempt")
+            problems.append("the actor reports another attempt")
         if approach.closings > 1:
             problems.append(f"the gripper closes {approach.closings} times")
         if retreat[worst] > RETREAT_M:
@@ -76,7 +76,7 @@ class Idle(AuditCheck):
     """Ticks without a command to the arm or the gripper."""
 
     title = "Ticks without motion"
-    reason = "A policy that has learnt to stand still stands still for ever: its next observation is the same."
+    reason = "A policy that has learned to stand still never moves again: its next observation is the same."
     threshold = (
         f"every component of the motion below {IDLE:g} and the gripper at rest, for more than {100 * IDLE_SHARE:.0f} % "
         f"of the ticks or more than {IDLE_S:g} s in a row"

@@ -17,7 +17,7 @@ class Collision(AuditCheck):
     """Contacts of the robot with the table or with other objects."""
 
     title = "The robot hits something"
-    reason = "A policy that imitates collisions damages a real robot and what stands around it."
+    reason = "A policy that imitates collisions damages a real robot and its surroundings."
     threshold = (
         f"a normal force above {FORCE_N:g} N between the robot and the table or an object that is not the task's"
     )

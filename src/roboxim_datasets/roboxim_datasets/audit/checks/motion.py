@@ -205,7 +205,7 @@ class Labels(AuditCheck):
     """Labels that are not what a demonstrator meant where noise moved the arm."""
 
     title = "The labels do not fit the executed actions"
-    reason = "The label is what the policy learns; where no noise was injected it is what was executed."
+    reason = "The policy learns the label; without injected noise it equals the executed action."
     threshold = (
         "gripper labels that are not the executed ones; a difference for fewer than "
         f"{LEG} ticks in a row (2 where position and rotation differ), or without the roughness that noise has; labels "
@@ -282,7 +282,10 @@ def _label_problem(chain: Chain, limited: Flags, everywhere: Flags, *, planned: 
         bad = np.zeros(len(apart), bool)
         bad[start : end + 1] = True
         size = apart[start : end + 1].max() / chain.per_unit
-        return f"the label of tick {start} is {size:.1f} {chain.unit} from what was executed, those around are not", bad
+        return (
+            f"the label of tick {start} is {size:.1f} {chain.unit} from the executed action, its neighbours are not",
+            bad,
+        )
     zigzag = np.where(limited, 0.0, _zigzag(chain.labelled))
     if planned and zigzag.max(initial=0.0) > ROUGH * chain.tolerance and differs.any():
         bad = zigzag > ROUGH * chain.tolerance

@@ -19,7 +19,7 @@ AFTER_SHARE = 0.1
 class ContinuesAfterDone(AuditCheck):
     """Ticks after the task is done, or a success that is lost again (thesis 6.1.2, issue 1)."""
 
-    title = "The episode goes on after the task is done"
+    title = "The episode continues after the task is done"
     reason = (
         "For one instruction the arm moves towards the object in some ticks and away from it in others; a policy "
         "learns both."
@@ -80,15 +80,13 @@ class WrongInstruction(AuditCheck):
             text = "the instruction is empty"
         elif episode.truth is not None and episode.truth.meaning is not None:
             if not episode.truth.meaning.ever and episode.episode.success is False:
-                raise CannotCheckError(
-                    "the episode failed, so that its instruction is not carried out is no fault of it"
-                )
+                raise CannotCheckError("the episode failed, so its unfulfilled instruction is not a fault")
             if not episode.truth.meaning.ever:
                 text = f"'{instruction}' is true at no tick; {episode.truth.meaning.detail}"
         else:
             recorded = _recorded_instruction(episode)
             if recorded != instruction:
-                text = f"it says '{instruction}', the recorded task is '{recorded}'"
+                text = f"it is '{instruction}', the recorded task is '{recorded}'"
         if text:
             last = len(episode.episode) - 1
             yield Finding(text=text, episodes=(episode.name,), ticks=(0, last // 2, last))

@@ -29,7 +29,7 @@ def attested_seed(out: Path) -> SceneSeed:
     if early := list(_uncommitted(out, stored_seed(out))):
         raise ConfigError(
             f"{out}: {len(early)} trainings ended before a seed was committed to ({early[0]}), so that a commitment "
-            "shows nothing about them; attest a new folder, or run with --fresh, which says so in the card"
+            "shows nothing about them; attest a new folder, or run with --fresh, which the card states"
         )
     return drawn_seed(out)
 

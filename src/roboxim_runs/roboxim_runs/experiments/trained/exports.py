@@ -84,7 +84,7 @@ def require_readable(config: ExperimentConfig, trainer: TrainerConfig) -> None:
         convention = trainer.options.get("convention", "{convention}")
         if trained and dataset.export and convention not in ("{convention}", options.get("convention")):
             raise ConfigError(
-                f"{source}: the trainer's policy uses convention '{convention}', whatever it was trained with; write "
+                f"{source}: the trainer's policy uses convention '{convention}', regardless of its training; write "
                 "options: {convention: '{convention}'} in the trainer, or choose another one (--trainer)"
             )
         if trained and trainer.is_own and options.get("convention"):
