@@ -26,7 +26,7 @@ from roboxim_policies.serving import policy_server
 from roboxim_policies.wires.openpi import OpenPiWire
 from roboxim_runs.episodes.expert_episode import expert_episode
 from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
-from roboxim_runs.policies.dry_run import ASKED, check_policy, save_sheet
+from roboxim_runs.policies.dry_run import DRY_RUN_TICKS, check_policy, save_sheet
 from roboxim_runs.policies.specs import PolicySpec
 
 
@@ -158,7 +158,7 @@ def test_check_of_a_server_that_plays_the_expert_passes_in_every_convention(name
     assert found.suspicions == ()
     assert found.round_trip.is_exact, str(found.round_trip)
     compared = [line.partition(": ")[2].split("; the expert: ") for line in found.lines if "; the expert: " in line]
-    assert len(compared) == ASKED
+    assert len(compared) == DRY_RUN_TICKS
     for answered, expert in compared:  # in the same units, so that a user can compare them
         np.testing.assert_allclose(numbers(answered), numbers(expert), atol=0.0011)
         assert re.sub(NUMBER, "", answered) == re.sub(NUMBER, "", expert)
@@ -185,7 +185,7 @@ def checked(convention, changed):
     episode = expert_episode(rate_hz=convention.rate_hz)
     raw = changed(in_convention(convention, episode))
     rows = convention.chunking.execution.rows_per_request(convention.chunking.horizon)
-    asked = [int(tick) for tick in np.linspace(0, len(episode.actions) - 1, ASKED)]
+    asked = [int(tick) for tick in np.linspace(0, len(episode.actions) - 1, DRY_RUN_TICKS)]
     server = PlayingServer(convention)
     server.play(np.concatenate([raw[np.minimum(tick + np.arange(rows), len(raw) - 1)] for tick in asked]))
     with server.serving():

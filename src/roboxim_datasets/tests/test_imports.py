@@ -11,7 +11,8 @@ SCRIPT = """
 import sys
 from pathlib import Path
 from roboxim_datasets.formats import open_dataset
-from roboxim_datasets.rewrite import plan_of, write_dataset
+from roboxim_datasets.plans import plan_of
+from roboxim_datasets.rewrite import write_dataset
 source, target, format = sys.argv[1:]
 written = write_dataset(plan_of(open_dataset(source)), Path(target), format, how="convert")
 open_dataset(written.path)

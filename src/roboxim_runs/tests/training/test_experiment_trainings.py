@@ -221,7 +221,7 @@ def test_trainings_die_with_a_killed_run_and_the_same_call_continues(trainers):
 
 
 def test_progress_names_the_training_and_says_its_steps(trainers, monkeypatch):
-    monkeypatch.setattr(experiment_trainings, "TELL_S", 0.0)
+    monkeypatch.setattr(experiment_trainings, "REPORT_S", 0.0)
     events, told = [], threading.Event()
 
     def on_event(event):
@@ -244,7 +244,7 @@ def test_progress_names_the_training_and_says_its_steps(trainers, monkeypatch):
 
 
 def test_a_trainer_that_reports_nothing_is_shown_by_the_last_line_of_its_log(tmp_path, monkeypatch):
-    monkeypatch.setattr(experiment_trainings, "TELL_S", 0.0)
+    monkeypatch.setattr(experiment_trainings, "REPORT_S", 0.0)
     os.mkfifo(tmp_path / "gate")
     told = threading.Event()
 
