@@ -4,7 +4,7 @@ Components never share a stream, and demonstrations and evaluations never share 
 own seed path, not on the number of workers, the order, or earlier episodes.
 
 In a mix with ``seed_by: cell`` the cell's key and the number in the cell replace the index. Two mixes then have the
-same episodes in the cells that they share, whatever else they contain.
+same episodes in shared cells, regardless of their other cells.
 """
 
 from __future__ import annotations

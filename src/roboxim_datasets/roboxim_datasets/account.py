@@ -75,7 +75,7 @@ class Account:
             kind: What it is.
             name: Its name.
             count: How much of it; None: all that is not accounted for yet.
-            changed: How what is read differs, e.g. ``float64, read as float32``.
+            changed: How the read values differ, e.g. ``float64, read as float32``.
         """
         self._note(kind, name, "read", changed, count)
 

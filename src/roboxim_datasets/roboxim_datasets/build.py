@@ -157,7 +157,7 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
 
 
 def _entries(journal: Path, identity: str) -> list[Facts]:
-    """Return the whole lines of a journal of this identity; a torn line and what follows it do not count."""
+    """Return the complete lines of a journal of this identity; a torn line and what follows it do not count."""
     found: list[Facts] = []
     if not journal.is_file():
         return found

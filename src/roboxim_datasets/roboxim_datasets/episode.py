@@ -96,7 +96,7 @@ class Step:
     """Camera to RGB image, uint8, shape (height, width, 3), read-only; only the requested cameras."""
     encoded: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)
     """Camera to encoding (``jpeg``, ``png``) and bytes of its image, if the dataset stores single images; a writer of
-    the same encoding stores them as they are, so that copies lose nothing."""
+    the same encoding stores them unchanged, so copies lose nothing."""
     depth: Mapping[str, DepthImage] = field(default_factory=dict)
     """Camera to distance along the optical axis [m], float32, shape (height, width); only the requested cameras."""
     segmentation: Mapping[str, Segmentation] = field(default_factory=dict)

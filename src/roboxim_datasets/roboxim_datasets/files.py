@@ -1,7 +1,7 @@
 """The files of a dataset that is being read: nothing outside of its folder, and only regular files.
 
 Paths in a dataset (templates, rows, links) come from whoever made it. `file_in` is the only way from such a path to a
-file; `reading` turns whatever goes wrong in a damaged file into one error that names it.
+file; `reading` turns any exception in a damaged file into one error that names the file.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def files_below(folder: Path, pattern: str) -> list[Path]:
 
 
 def has_file(folder: Path, name: str) -> bool:
-    """Return whether a dataset has a file of a name, whatever it is."""
+    """Return whether a dataset has an entry of a name, of any kind."""
     return (folder / name).is_symlink() or (folder / name).exists()
 
 

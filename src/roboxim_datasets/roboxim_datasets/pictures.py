@@ -71,7 +71,7 @@ def decoded(decode: Callable[[bytes, ImageSize], Any], data: bytes, expected: Im
     """Decode a picture by `colour_picture` or `deep_picture`; an error says where it is.
 
     Raises:
-        RecorderError: As theirs.
+        RecorderError: As these two.
     """
     try:
         return decode(data, expected)

@@ -21,7 +21,7 @@ class Place:
     index: int
     """Its number in the split."""
     change: Callable[[Episode], Episode] = lambda episode: episode
-    """Changes what is read of it."""
+    """Changes the episode after reading."""
     changed: str = ""
     """What the change is; empty: none."""
 
@@ -49,7 +49,7 @@ def plan_of(*datasets: Dataset) -> dict[str, list[Place]]:
 
 
 def split_plan(dataset: Dataset, counts: Mapping[str, int]) -> dict[str, list[Place]]:
-    """Return the plan that divides all episodes of a dataset anew.
+    """Return the plan that divides all episodes of a dataset into other splits.
 
     The splits take turns so that each is spread evenly over the whole order.
 

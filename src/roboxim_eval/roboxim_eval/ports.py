@@ -182,7 +182,7 @@ class SimClient:
             self._clients.node.get_logger().warning(f"could not release '{episode_id}': {error}")
 
     def observe(self, state: StateRecord, cameras: tuple[str, ...]) -> Observation:
-        """Wait for the whole observation of a tick.
+        """Wait for the complete observation of a tick.
 
         Raises:
             EvaluationError: ``OBSERVATION_MISSING``, with the names of the missing images.
@@ -290,7 +290,7 @@ class RecorderClient:
             self._publisher.publish(to_msg(step, EpisodeStepMsg))
 
     def wait_written(self) -> None:
-        """Wait until the bag has the whole tick of the last step.
+        """Wait until the bag has the complete tick of the last step.
 
         Raises:
             RoboximError: The error with which the recorder rejected the tick, or a time-out.

@@ -92,7 +92,7 @@ class RemotePolicy(BasePolicy):
             wire: The wire to the server.
             convention: A name in ``config/conventions``, the path of a YAML file, JSON, or ``server``: as
                 the server says.
-            version: What the model is, e.g. ``pi05_libero@2025-09``: the server may not tell.
+            version: What the model is, e.g. ``pi05_libero@2025-09``: the server may not state it.
             name: Name for reports.
 
         Raises:
@@ -169,7 +169,7 @@ class RemotePolicy(BasePolicy):
         """
         try:
             self.connect()
-        except PolicyError as error:  # whatever the reason, the model was not called
+        except PolicyError as error:  # in any case the model was not called
             raise PolicyError(str(error), ErrorCode.POLICY_DIED) from None
         self._seed = start.seed
         self.wire.reset(start)
@@ -207,7 +207,7 @@ class RemotePolicy(BasePolicy):
         )
 
     def request(self, window: ObservationWindow) -> dict[str, Any]:
-        """Return what is sent for a window."""
+        """Return the request for a window."""
         if OWN_SERVER not in (self._fits or {}):
             return observe(self.convention, window)
         # RoboXim's own server gets the measurements as they are, all of them.

@@ -23,7 +23,7 @@ class RewordedPolicy:
             policy: The other policy, as for ``roboxim evaluate --policy``.
             instruction: What it receives instead of the task's instruction; empty: no words.
             wordings: Set of ``config/wordings`` in whose words it receives the task's instruction, e.g. ``german``; one
-                is drawn by the episode's seed. An instruction that the set does not cover stays as it is.
+                is drawn by the episode's seed. An instruction that the set does not cover is not changed.
             **options: Its arguments, e.g. ``checkpoint``.
 
         Raises:
@@ -44,7 +44,7 @@ class RewordedPolicy:
         return bool(getattr(self._policy.policy, "any_thread", False))
 
     def another(self) -> RewordedPolicy | None:
-        """Return a policy with an episode of its own that shares the other policy's model; none: it cannot."""
+        """Return a policy that shares the other policy's model but keeps its own episode; none: it cannot."""
         another = getattr(self._policy.policy, "another", None)
         inner = another() if callable(another) else None
         if inner is None:

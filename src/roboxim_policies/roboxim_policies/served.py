@@ -89,7 +89,7 @@ class _SharedWire(OpenPiWire):
 
 
 def request_of(window: ObservationWindow) -> dict[str, Any]:
-    """Return what is sent for a window: pictures and measurements as they are."""
+    """Return the request for a window: pictures and measurements as they are."""
     cameras = window.newest.images
     return {
         "prompt": window.instruction,

@@ -334,7 +334,7 @@ def _kernel_tells() -> bool:
 
 
 class Server:
-    """A server of one model; a context manager. Each connection has a session of its own."""
+    """A server of one model; a context manager. Each connection has its own session."""
 
     def __init__(
         self, model: Model, host: str = "127.0.0.1", port: int = 8000, *, all_users: bool = False, quiet: bool = False

@@ -5,8 +5,8 @@ Open X-Embodiment (rt_1_x_tf_trained_for_002272480_step), the encoder of instruc
 as a SavedModel.
 
 A request has `image`, uint8, 256 x 320 px, and `prompt`. The SavedModel keeps the history of 15 frames itself, in its
-policy state. Each connection has a state of its own, which begins anew with each episode and each new instruction. Of a
-request with several frames the newest counts. The reply has `world_vector` (3), `rotation_delta` (3) and
+policy state. Each connection has its own state, which is reset at each episode and each new instruction. Of a request
+with several frames the newest counts. The reply has `world_vector` (3), `rotation_delta` (3) and
 `gripper_closedness_action` (1), as the model gives them.
 """
 

@@ -154,7 +154,7 @@ class BagReader:
 
         Raises:
             ConfigError: When the path is not a bag.
-            RecorderError: With code ``BAG_DAMAGED`` when it is not a whole bag.
+            RecorderError: With code ``BAG_DAMAGED`` when it is not a complete bag.
         """
         self.file = mcap_file(path)
         self.path, self._known_info = Path(path), info

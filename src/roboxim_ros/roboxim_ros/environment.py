@@ -72,7 +72,7 @@ def set_log_folder() -> None:
         return
     ros_home, home = os.environ.get("ROS_HOME"), home_dir()
     folder = Path(ros_home) if ros_home else home / ".ros" if home is not None else None
-    known = ros_home or os.environ.get("HOME")  # rcl does not ask the password database
+    known = ros_home or os.environ.get("HOME")  # rcl does not read the password database
     if folder is None or not known or not can_write(folder.absolute() / "log"):
         os.environ["ROS_LOG_DIR"] = str(runtime_dir() / "log")
 

@@ -37,7 +37,7 @@ LONGEST_RUN_ID = 100
 LARGEST_DOMAIN = 100
 """Largest domain used. Ports of higher domains reach into the ephemeral range, where any connection may take them."""
 JOINABLE = ("up", "node", "policy", "play")
-"""Kinds of runs that commands and new nodes join by default; jobs such as ``generate`` have nodes of their own."""
+"""Kinds of runs that commands and new nodes join by default; jobs such as ``generate`` start their own nodes."""
 _TRANSPORTS = ("user", "network")
 
 

@@ -59,7 +59,7 @@ class EpisodesConfig:
     seed: int = 0
     """Seed of the run."""
     workers: int = field(default_factory=lambda: min(2, os.cpu_count() or 1))
-    """Processes, each with a whole graph."""
+    """Processes, each with its own graph."""
     size: int | tuple[int, int] = 0
     """Image size [px]: the side of a square, or width and height; 0: as configured."""
     rate: float = 0.0
@@ -144,7 +144,7 @@ class EpisodesConfig:
         )  # fmt: skip
 
     def sized(self, task_config: str, on_event: OnEvent) -> Self:
-        """Return the configuration with a number of episodes, and tell how the cells of a mix share them.
+        """Return the configuration with a number of episodes, and report how the cells of a mix share them.
 
         Args:
             task_config: As `task_text` returns it.

@@ -16,7 +16,7 @@ HEIGHT_PX = 560
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """An episode that plays in a notebook; nothing is asked of any server. `save` writes it as one HTML file."""
+    """An episode that plays in a notebook; it sends no requests. `save` writes it as one HTML file."""
 
     title: str
     """The episode."""

@@ -219,7 +219,7 @@ def check_templates(document: Document, config: TaskConfig) -> None:
 
 
 def check_exclusions(document: Document, config: TaskConfig, library: ModelLibrary) -> None:
-    """Check that excluded combinations are possible at all, and leave something to draw.
+    """Check that excluded combinations are possible, and leave something to draw.
 
     Args:
         document: The task's data.

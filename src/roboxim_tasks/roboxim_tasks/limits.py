@@ -89,7 +89,7 @@ class LimitsConfig:
 
 
 class Limits:
-    """Fold of an episode's states into its measures; an evaluator that every task may have beside its skill's."""
+    """Fold of an episode's states into its measures; an evaluator that every task may have besides its skill's."""
 
     hold_s = 0.0
 

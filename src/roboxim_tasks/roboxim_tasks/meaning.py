@@ -1,4 +1,4 @@
-"""The meaning of an instruction's text in a scene: the tasks that it may ask for, to be judged.
+"""The meaning of an instruction's text in a scene: the tasks that it may mean, to be judged.
 
 A text is matched with every skill's templates. The words in place of a role are matched with the descriptions of the
 scene's objects, those in place of another word with the skill's parameters. The skill's own generator then makes the
@@ -30,12 +30,12 @@ DRAWER = re.compile(r"(?P<drawer>\w+) drawer of the (?P<whole>.+)")
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """What a text asks for in a scene."""
+    """Meaning of a text in a scene."""
 
     understood: bool
     """Whether the text follows a template of a known skill."""
     tasks: tuple[TaskSpec, ...] = ()
-    """Tasks that it may ask for; empty: the scene allows none."""
+    """Tasks that it may mean; empty: the scene allows none."""
     absent: tuple[str, ...] = ()
     """Descriptions in the text that fit no object of the scene."""
 
@@ -43,7 +43,7 @@ class Reading:
 def read_instruction(
     text: str, scene: SceneSpec, library: ModelLibrary, templates: Mapping[str, Iterable[str]] | None = None
 ) -> Reading:
-    """Return what an instruction asks for in a scene.
+    """Return the meaning of an instruction in a scene.
 
     Args:
         text: The instruction.
@@ -64,7 +64,7 @@ def read_instruction(
 def _read_one(
     text: str, scene: SceneSpec, library: ModelLibrary, templates: Mapping[str, Iterable[str]] | None
 ) -> Reading:
-    """Return what an instruction of one step asks for."""
+    """Return the meaning of an instruction of one step."""
     tasks: list[TaskSpec] = []
     absent: list[str] = []
     understood = False

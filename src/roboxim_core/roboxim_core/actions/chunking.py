@@ -5,7 +5,7 @@ Non-obvious:
 - An answer is made for the tick of its observation (``observed``) and can be used from the tick on which it arrives.
   Without latency these are the same tick.
 - An ensemble needs several answers for one tick, so it requests one at every tick unless ``execute`` is set.
-- Numbers are averaged as they are, as Octo's and ACT's ensembles do. Where that would not give a rotation (quaternions,
+- Numbers are averaged unchanged, as in Octo's and ACT's ensembles. Where that would not give a rotation (quaternions,
   6D, absolute poses) the rotations are averaged instead.
 """
 

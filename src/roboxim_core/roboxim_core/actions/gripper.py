@@ -24,8 +24,8 @@ class GripperRule:
     agree: int = 1
     """Number of consecutive actions that must demand the other command before it changes; 0 and 1: at once."""
     hold: int = 0
-    """Number of actions for which a changed command stays, whatever they demand; 0 and 1: only the one that changed
-    it."""
+    """Number of actions for which a changed command stays, regardless of their demands; 0 and 1: only the one that
+    changed it."""
     on_change: bool = False
     """Whether an action's opening counts only if it differs from the previous action's by more than half: a rise
     opens, a fall closes. Source: the sticky gripper of SimplerEnv's Google robot."""

@@ -337,7 +337,8 @@ def from_actions(
 ) -> Floats:
     """Return the policy's numbers that mean given actions, e.g. of a whole episode; the inverse of `to_actions`.
 
-    A number outside of its range is returned as it is: it shows that the convention cannot express the action. A lag is
+    A number outside of its range is returned unchanged: it shows that the convention cannot express the action. A lag
+    is
     not inverted: the numbers are those of a steady motion.
 
     Args:

@@ -315,7 +315,7 @@ class _Episode:
 
     def _after_settling(self, outcome: str, reason: str) -> tuple[str, str]:
         """Return the final outcome and reason after the settle phase."""
-        if reason == LEFT_WORKSPACE:  # this failure is final, whatever happens to the objects afterwards
+        if reason == LEFT_WORKSPACE:  # this failure is final, regardless of what happens to the objects afterwards
             return outcome, reason
         if self.verdict.success:
             again = self.config.keep == "first_try" and self.counts["recovery"]

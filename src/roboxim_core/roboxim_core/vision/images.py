@@ -69,7 +69,7 @@ def decode_image(data: bytes) -> RgbImage:
     """
     import cv2
 
-    as_stored = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION  # whatever a camera's EXIF says
+    as_stored = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION  # regardless of a camera's EXIF data
     image = cv2.imdecode(np.frombuffer(data, np.uint8), as_stored) if data else None
     if image is None:
         raise InvalidRequestError(f"{len(data)} bytes that are not a JPEG or PNG image")

@@ -62,7 +62,7 @@ class Approach:
 
 @dataclass(frozen=True, kw_only=True)
 class Meaning:
-    """What the instruction asks for, judged on the recorded states."""
+    """Meaning of the instruction, judged on the recorded states."""
 
     ever: bool
     """Whether the instruction's predicate was true at any tick."""
@@ -123,7 +123,7 @@ class Truth:
     approaches: tuple[Approach, ...] = ()
     """How the hand came to the object, for each step of the task; steps at which it touched none are left out."""
     meaning: Meaning | None = None
-    """What the instruction asks for; none: its text is of no known template."""
+    """Meaning of the instruction; none: its text is of no known template."""
     sightings: tuple[Sighting, ...] | None = None
     """Visibility of the named objects at tick 0, and of the one that is touched first at some ticks until then; none:
     no renderer."""

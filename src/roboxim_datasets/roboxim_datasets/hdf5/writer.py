@@ -32,7 +32,7 @@ _GYM = 2  # robomimic's number of the kind of environment
 class Hdf5Writer:
     """Writes a dataset.
 
-    Each episode is first a file of its own, so that a killed export loses none; the files are joined at the end.
+    Each episode is first written to its own file, so a killed export loses none; the files are joined at the end.
     """
 
     def __init__(

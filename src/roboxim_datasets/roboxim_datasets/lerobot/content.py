@@ -70,7 +70,7 @@ class LeRobotContent:
     joint_names: tuple[str, ...] = ()
     """Arm joints of the robot."""
     parts: Mapping[str, Mapping[str, tuple[int, int]]] = field(default_factory=dict)
-    """``state`` and ``action`` to names of ranges of their components (start, end); empty: nobody named them."""
+    """``state`` and ``action`` to names of ranges of their components (start, end); empty: they have no names."""
     views: Mapping[str, str] = field(default_factory=dict)
     """Column of a camera's images to the name of the view in GR00T's modality file; empty: the camera."""
 

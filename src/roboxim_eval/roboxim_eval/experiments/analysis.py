@@ -61,8 +61,8 @@ class Comparison:
     config: CompareConfig
     """The comparison."""
     verdict: Verdict
-    """The verdict; its p values are adjusted for all comparisons of the file (Holm), that of a difference and that of
-    a difference within the margin each by itself."""
+    """The verdict; its p values are adjusted for all comparisons of the file (Holm), separately for a difference and
+    for a difference within the margin."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -47,7 +47,7 @@ def expanded(config: ExperimentConfig) -> ExperimentConfig:
 
     Each smaller number of cells is compared with the largest one, in the held-out cells; the smallest is the primary
     comparison. Their policies are evaluated in the held-out cells unless ``evaluate.cells`` says otherwise. An
-    experiment that is expanded already stays as it is.
+    experiment that is expanded already is not changed.
 
     Raises:
         ConfigError: When nothing is held out, the sets do not exist, or the file has another dataset or condition of

@@ -178,7 +178,7 @@ class ReplicatesConfig:
     vary: tuple[str, ...] = ("training",)
     """What differs between replicates: ``training`` (the seed), and ``data`` (the demonstrations too)."""
     first_seed: int = 0
-    """Seed of the first replicate's training and scenes; parts of a rotated design have seeds of their own."""
+    """Seed of the first replicate's training and scenes; parts of a rotated design have their own seeds."""
 
     def __post_init__(self) -> None:
         """Check the values.

@@ -84,13 +84,13 @@ class Rates:
     proof_s: float
     """Wall time of the proof of a bag, with all workers busy [s]."""
     start_s: float
-    """Wall time of a generation beside its episodes: the start of the graph, and the pictures at the end [s]."""
+    """Wall time of a generation besides its episodes: the start of the graph, and the pictures at the end [s]."""
     train_start_s: float
     """Wall time of a training alone before its first step: reading the data, compiling [s]."""
     first_evaluate_s: float
     """Wall time that an experiment's first evaluation takes longer: workers load the policy's libraries [s]."""
     evaluate_start_s: float
-    """Wall time of a further evaluation beside its episodes: the start of graph and policy [s]."""
+    """Wall time of a further evaluation besides its episodes: the start of graph and policy [s]."""
     proof_start_s: float
     """Wall time of the start of a proof [s]."""
     film_s: float
@@ -281,7 +281,7 @@ def detectable_drop(design: Design, *, alone: bool = False) -> float | None:
 
     Args:
         design: The experiment.
-        alone: Whether none of the other comparisons is found. Holm's adjustment then asks for p <= alpha / k with k
+        alone: Whether none of the other comparisons is found. Holm's adjustment then requires p <= alpha / k with k
             comparisons; if all others are found, for p <= alpha.
     """
     config, scenes = design.config, design.compared_scenes
@@ -306,7 +306,7 @@ def same_checkpoints(design: Design) -> bool:
 def _scenes_against(design: Design) -> int:
     """Return the rollouts of each training of the primary comparison's second condition; 0: on the first one's scenes.
 
-    The two sides have scenes of their own if they are compared in different cells.
+    The two sides have different scenes if they are compared in different cells.
     """
     primary = design.config.primary
     if primary is None or primary.against in ("", primary.where):

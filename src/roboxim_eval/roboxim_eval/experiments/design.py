@@ -285,7 +285,7 @@ def _check_scores(design: Design) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """A stage of work: the same inputs give the same result, wherever and however often it runs."""
+    """A stage of work: the same inputs give the same result on any machine, in every run."""
 
     name: str
     """Unique name, e.g. ``train/leave_out.0``; the folder of its result."""

@@ -1,6 +1,6 @@
 """Models side by side: the same condition of several runs of an experiment, on the cells that all runs contain.
 
-Each model has trainings of its own. With three or more each, trainings are the sample (Q2): Student's t over the
+Each model has its own trainings. With three or more each, trainings are the sample (Q2): Student's t over the
 difference of each replicate or, where the numbers of trainings differ, Welch's t over all trainings of both. With
 fewer, only these checkpoints are compared (Q1): on the scenes that both met (McNemar) or, where the scenes differ, on
 the rollouts (Boschloo). P values of all pairs are adjusted (Holm); two models without a common letter differ. If more

@@ -26,7 +26,7 @@ def deciding(config: ExperimentConfig) -> dict[str, Any]:
 
 
 def reductions(whole: ExperimentConfig, small: ExperimentConfig, trainer: str) -> str:
-    """Return the differences of an experiment at a scale from the whole one.
+    """Return the differences of an experiment at a scale from the original.
 
     Args:
         whole: The experiment at full scale.

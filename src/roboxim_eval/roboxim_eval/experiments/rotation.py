@@ -1,7 +1,7 @@
 """Rotated designs: the held-out set changes from part to part, so a score describes factors, not a few cells.
 
 An experiment with one held-out set measures a policy in those cells. A rotated one consists of parts, each an ordinary
-experiment with a held-out set of its own and trainings of its own. The sets are disjoint, like the symbols of a Latin
+experiment with its own held-out set and its own trainings. The sets are disjoint, like the symbols of a Latin
 square: each holds out every level of every factor about equally often, and every level remains in the training.
 Where objects alone vary, the sets are disjoint groups of objects, each of which one part never sees.
 

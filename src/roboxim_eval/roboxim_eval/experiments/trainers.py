@@ -1,6 +1,6 @@
 """Trainers of an experiment: how a policy is trained on a dataset, and how its checkpoints are evaluated.
 
-A trainer is an entry of an experiment's ``trainers``, or a file of its own, ``config/trainers/NAME.yaml``.
+A trainer is an entry of an experiment's ``trainers``, or a separate file, ``config/trainers/NAME.yaml``.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class TrainerConfig:
 
 
 def trainer_config(data: Any, *, source: str) -> TrainerConfig:
-    """Build a trainer from the plain data of a file of its own.
+    """Build a trainer from the plain data of its own file.
 
     Raises:
         ConfigError: When keys are wrong; names each with its path and line.

@@ -26,7 +26,7 @@ class Signals:
     name: str
     """Name of the group."""
     curves: Sequence[Curve]
-    """The curves, each in a chart of its own."""
+    """The curves, each in its own chart."""
     about: str = ""
     """Meaning of their lines; empty: one line each."""
 

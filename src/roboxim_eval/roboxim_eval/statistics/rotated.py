@@ -1,9 +1,9 @@
-"""Scores of a rotated design: each part has a held-out set of its own, see `roboxim_eval.experiments.rotation`.
+"""Scores of a rotated design: each part has its own held-out set, see `roboxim_eval.experiments.rotation`.
 
 Two intervals answer two questions:
 
 - **cells as a sample**: how good are the conditions in all cells that could have been held out? Each set of cells is
-  one observation, whatever its number of trainings: Student's t over the sets.
+  one observation, regardless of its number of trainings: Student's t over the sets.
 - **these cells**: how good are they in the cells of this design? With several trainings of each set, their spread
   within the sets is the error; with one, the spread between sets, which is too wide for this question, but never too
   narrow.

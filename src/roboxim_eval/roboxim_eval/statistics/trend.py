@@ -15,8 +15,8 @@ from roboxim_eval.statistics.tables import Arm
 def trend(places: Sequence[float], arms: Sequence[Arm]) -> Interval:
     """Return the slope of the least-squares line through the conditions' success rates, with its 95 % interval.
 
-    Each replicate has a slope of its own, since its conditions share the seed and the scenes; the interval is Student's
-    t over them. It is never narrower than that of the rollouts alone: a few replicates can agree by chance. It is
+    Each replicate has its own slope, since its conditions share the seed and the scenes; the interval is Student's t
+    over them. It is never narrower than that of the rollouts alone: a few replicates can agree by chance. It is
     unbounded for one replicate.
 
     Args:

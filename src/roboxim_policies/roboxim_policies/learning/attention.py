@@ -14,7 +14,7 @@ from roboxim_policies.learning.layers import Dense
 
 
 class Attention(eqx.Module):
-    """Attention of some tokens to others, in several heads, with a layer of its own after it; both are residual."""
+    """Attention of some tokens to others, in several heads, with a layer after it; both are residual."""
 
     asked: Dense
     offered: Dense

@@ -91,7 +91,7 @@ class LearnedPolicy(BasePolicy):
         self._begin(start.instruction)
 
     def another(self) -> LearnedPolicy:
-        """Return a policy with an episode of its own that shares the compiled network."""
+        """Return a policy that shares the compiled network but keeps its own episode."""
         shared = copy.copy(self)
         shared._begin("")
         return shared

@@ -15,7 +15,7 @@ from roboxim_policies.wires.openpi import OWN_SERVER
 
 
 class PolicyServer(ABC):
-    """A server of one policy, in threads of its own; a context manager."""
+    """A server of one policy, in its own threads; a context manager."""
 
     scheme: str = ""
     """Scheme of its URL."""

@@ -34,7 +34,7 @@ class _Request:
 
 
 class Batcher:
-    """Calls ``act_batch`` of a policy's class with the requests that wait, in a thread of its own."""
+    """Calls ``act_batch`` of a policy's class with the waiting requests, in its own thread."""
 
     def __init__(self, kind: type[Any]) -> None:
         """Start the thread.

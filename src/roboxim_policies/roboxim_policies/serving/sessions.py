@@ -1,6 +1,6 @@
 """Sessions of a served policy: requests of a convention in, the policy's numbers out.
 
-A policy keeps state during an episode, so each session has an instance of its own; instances are used again.
+A policy keeps state during an episode, so each session has its own instance; instances are used again.
 
 Some wires carry one action in each answer, and their clients ask at every tick (vla-eval's, OpenVLA's). A session on
 such a wire executes the policy's chunks itself, by the policy's `Chunking`, so the policy is called as often as in the
@@ -145,7 +145,7 @@ class Sessions:
 
     @contextmanager
     def session(self) -> Iterator[Session]:
-        """Yield a session with an instance of its own.
+        """Yield a session with its own instance.
 
         Raises:
             UnavailableError: When there are too many.
@@ -269,7 +269,7 @@ class Session:
         return bool(np.linalg.norm(np.array(measured.tcp_position) - self._last[:3]) > max_jump)
 
     def _row(self, window: ObservationWindow) -> Floats:
-        """Return the action of the window's tick, shape (1, D); asks the policy only when its chunk is executed."""
+        """Return the action of the window's tick, shape (1, D); calls the policy only when its chunk is executed."""
         assert self._plan is not None
         if self._plan.due(window.seq):
             chunk = self._guard.act(window)

@@ -61,7 +61,7 @@ class SharedSessions:
 
     @contextmanager
     def session(self) -> Iterator[GuardedPolicy]:
-        """Yield a policy with an episode of its own.
+        """Yield a policy for one episode.
 
         Raises:
             UnavailableError: When there are too many.
@@ -90,7 +90,7 @@ def _another(first: Policy) -> Policy | None:
 
 
 def answers_batches(kind: type[Any]) -> bool:
-    """Return whether a policy's class has an ``act_batch`` of its own."""
+    """Return whether a policy's class defines ``act_batch``."""
     own = getattr(kind, "act_batch", None)
     return callable(own) and getattr(own, "__func__", own) is not vars(BasePolicy)["act_batch"].__func__
 

@@ -158,7 +158,7 @@ class VlaEvalServer(WebSocketServer):
                 "observation_params": {
                     "send_state": bool(convention.states),
                     "send_wrist_image": any("wrist" in image.camera for image in convention.images),
-                    # taken by RoboXim's benchmark alone, see `RoboXimBenchmark`; others are not told of it
+                    # taken by RoboXim's benchmark alone, see `RoboXimBenchmark`; not documented to others
                     **({"server_convention": to_json(convention)} if self.sessions.is_own else {}),
                 },
                 **self.metadata,

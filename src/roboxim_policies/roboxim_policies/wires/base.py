@@ -3,7 +3,7 @@
 A wire carries requests and raw answers; it does not know what an action means (`roboxim_core.conventions` does). It
 owns the deadlines and the encoding. Four rules hold for every wire:
 
-- One operation has one deadline, whatever number of messages it takes.
+- One operation has one deadline, regardless of its number of messages.
 - **Every failure closes the connection.** A reply that comes after its deadline therefore has no reader, and never
   answers the next request.
 - A closed connection is opened again at the next episode, with pauses that grow and end.
@@ -226,7 +226,7 @@ class Wire(ABC):
 
     @abstractmethod
     def _shut(self) -> None:
-        """Close the connection at once, whatever its state; must not raise."""
+        """Close the connection at once, in any state; must not raise."""
 
 
 METADATA_VALUES = 10_000

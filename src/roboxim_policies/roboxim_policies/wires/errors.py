@@ -44,7 +44,7 @@ REDIRECTS = (300, 301, 302, 303, 307, 308)
 
 
 def redirected(server: str, status: int, location: Any) -> PolicyError:
-    """Return the error of a server that redirects its client. No wire follows: it would tell others what it sees.
+    """Return the error of a server that redirects its client. No wire follows: others would get its observations.
 
     Args:
         server: Name of the server, for the message.

@@ -176,7 +176,7 @@ class GrootWire(Wire):
             reconnect_s: Time in which a refused connection is tried again [s].
             key_env: Environment variable with the key, sent as ``api_token``.
             sim_policy_wrapper: Whether the server (N1.6 or later) runs with ``--use-sim-policy-wrapper``. It is
-                optional: a server that asks for flat keys gets them.
+                optional: a server that requires flat keys gets them.
 
         Raises:
             ConfigError: On a wrong argument.
@@ -222,7 +222,7 @@ class GrootWire(Wire):
         except PolicyError as error:
             if self._wrapped or self._serialiser.flat or not any(text in str(error) for text in WANTS_FLAT_KEYS):
                 raise
-            self._wrapped = True  # its configuration does not tell; its complaint does
+            self._wrapped = True  # its configuration does not show it; its complaint does
             reply = self._call("get_action", self._observation(request), deadline)
         if isinstance(reply, list) and reply:
             reply = reply[0]

@@ -112,7 +112,7 @@ class OpenPiWire(WebSocketWire):
             timeout_s: Deadline of each operation [s].
             reconnect_s: Time in which a refused connection is tried again [s].
             key_env: Environment variable with the key, sent as ``Authorization: Api-Key``.
-            dialect: ``openpi``, ``roboarena`` or ``starvla``; empty: as the metadata tell.
+            dialect: ``openpi``, ``roboarena`` or ``starvla``; empty: as the metadata state.
             unnorm_key: Dataset whose statistics StarVLA un-normalises with; empty: the server's only one.
             do_sample: Whether StarVLA samples words instead of taking the likeliest.
             use_ddim: Whether StarVLA's diffusion heads take DDIM's steps, as its own clients ask.

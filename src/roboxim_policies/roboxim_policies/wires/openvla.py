@@ -110,8 +110,8 @@ declares nothing."""
 class OpenVlaWire(Wire):
     """A session with a server of OpenVLA or OpenVLA-OFT.
 
-    Each request is a connection of its own, so that another server may answer the next one: the server's declaration is
-    requested again at each episode.
+    Each request opens a connection, so another server may answer the next one: the server's declaration is requested
+    again at each episode.
     """
 
     schemes: ClassVar[tuple[str, ...]] = ("http", "https")

@@ -30,7 +30,7 @@ KEY, PROPRIO = "action", "proprio"
 
 @WIRES.register("xvla")
 class XVlaWire(OpenVlaWire):
-    """A session with X-VLA's own server. Each request is a connection of its own."""
+    """A session with X-VLA's own server. Each request opens a connection."""
 
     schemes: ClassVar[tuple[str, ...]] = ("http", "https")
 

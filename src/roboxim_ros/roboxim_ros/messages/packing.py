@@ -38,7 +38,7 @@ _SEQUENCES = {(float, "float64"), (int, "uint32"), (str, "string")}
 def packer(cls: type, name: str, store: Typestore) -> Packer:
     """Return a function that serialises a dataclass by the rules of `roboxim_ros.messages.conversions.to_msg`.
 
-    Enums are texts, poses messages of their own, dictionaries lists of ``NamedValue``. A header or a time that the
+    Enums become texts, poses separate messages, dictionaries lists of ``NamedValue``. A header or a time that the
     dataclass lacks is made from its ``stamp_ns``, the header's frame from its ``frame_id`` if it has one. Padding is 0;
     nothing follows the last field.
 

@@ -29,9 +29,9 @@ class HandOver:
         Args:
             states: Its states from tick 0, which hold the executed actions.
             tick: The last tick that they lead to.
-            then: Who acts from there; none: the recorded actions go on.
-            recorded: Description of the recorded actions, needed if they go on.
-            last: Number of recorded actions, if they go on.
+            then: Who acts from there; none: the recorded actions continue.
+            recorded: Description of the recorded actions, needed if they continue.
+            last: Number of recorded actions, if they continue.
         """
         self._states, self._tick, self._then, self._recorded, self._last = states, tick, then, recorded, last
 

@@ -140,8 +140,7 @@ def mine(
 ) -> Mined:  # fmt: skip
     """Search for regions.
 
-    Every scene has a seed of its own, those of the confirmation too. A failure counts only if the expert solves the
-    scene.
+    Every scene has its own seed, also those of the confirmation. A failure counts only if the expert solves the scene.
 
     Args:
         bench: Cores to run episodes with.

@@ -43,7 +43,7 @@ class GivenScene:
         self._draw = draw
 
     def draw(self, seed: SeedPath, task_config: str) -> Draw:
-        """Return the draw, whatever the seed."""
+        """Return the draw, regardless of the seed."""
         return self._draw
 
 

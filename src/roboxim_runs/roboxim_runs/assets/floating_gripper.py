@@ -1,6 +1,6 @@
 """A floating gripper of any kind that tries a grasp: a gripper of ``config/grippers`` on three prismatic joints.
 
-It is a robot of its own, so that its fingers, their motors and their contacts are those of the simulator's arms
+It is a separate robot, so its fingers, motors and contacts are those of the simulator's arms
 (`roboxim_sim.robot_body`). The Franka hand has a simpler one, see `roboxim_runs.assets.floating_hand`.
 """
 

@@ -133,7 +133,7 @@ def import_mesh(
 
 
 class _Import:
-    """One import; files are written into a folder of their own until it has succeeded."""
+    """One import; files are written into a separate folder until it has succeeded."""
 
     def __init__(
         self, file: Path, object_id: str, folder: Path, options: ImportOptions, on_step: Callable[[str], None]

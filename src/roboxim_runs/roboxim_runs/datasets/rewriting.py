@@ -115,13 +115,13 @@ def split_dataset(
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
 ) -> dict[str, Written]:
-    """Divide a dataset anew. The same call continues an interrupted one.
+    """Divide a dataset into other splits. The same call continues an interrupted one.
 
     Args:
         source: The dataset; it is only read.
         target: Folder to write into.
         counts: Split to its number of episodes; 0: the rest.
-        apart: Whether each split becomes a dataset of its own, ``target/<split>``, for trainers that ignore splits.
+        apart: Whether each split becomes a separate dataset, ``target/<split>``, for trainers that ignore splits.
         overwrite: Replace existing datasets.
         on_event: Receives the run's events.
         cancellation: Ends it when it is set.

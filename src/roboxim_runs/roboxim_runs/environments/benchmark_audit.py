@@ -26,7 +26,7 @@ Actions = Iterable[Any] | Callable[[Any, str], Any]
 SUCCESS_KEYS = ("is_success", "success")
 WORD_KEYS = ("task_description", "instruction", "language_instruction", "prompt")
 OTHER_SEEDS = 1_000
-"""Offset of the seeds of whole episodes."""
+"""Offset of the seeds of complete episodes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class AuditConfig:
     steps: int = 20
     """Number of steps of a probe; at least 2."""
     episodes: int = 20
-    """Number of whole episodes of each way to act; at least 1."""
+    """Number of complete episodes of each way to act; at least 1."""
     limit: int = 1_000
     """Number of steps after which an episode is given up; at least `steps`."""
 

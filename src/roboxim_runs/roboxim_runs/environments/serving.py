@@ -33,7 +33,7 @@ LARGEST_SIZE = 1024
 
 
 class EnvironmentServer:
-    """A server of environments, in threads of its own; a context manager. Web pages are refused."""
+    """A server of environments, in its own threads; a context manager. Web pages are refused."""
 
     def __init__(
         self, *, host: str = "127.0.0.1", port: int = 8765, max_environments: int = 8, all_users: bool = False,

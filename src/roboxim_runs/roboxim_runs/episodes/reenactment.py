@@ -104,7 +104,7 @@ class Reenactor:
         return [verdict.success for verdict in verdicts], states
 
     def record(self, recorded: Recorded, scene: SceneSpec, acts: Sequence[Act]) -> Path:
-        """Execute actions in a scene and record a bag; it claims the recorded outcome, whatever happens.
+        """Execute actions in a scene and record a bag; it states the recorded outcome in any case.
 
         Returns:
             The bag.

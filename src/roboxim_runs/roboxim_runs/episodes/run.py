@@ -103,7 +103,7 @@ class EpisodesJob:
 
         Args:
             environment: Environment variables by which a process takes part in the run.
-            staged: Whether each worker records into a folder of its own; see `roboxim_runs.episodes.staging`.
+            staged: Whether each worker records into its own folder; see `roboxim_runs.episodes.staging`.
         """
         parameters: dict[str, dict[str, Any]] = {
             "sim": {"renderer": self.renderer, "scene": "", "publish_unheard": False},
@@ -123,7 +123,7 @@ def episodes_work(
     staging: Mapping[str, str] | None = None,
     server_wait_s: float = SERVER_WAIT_S,
 ) -> Work:
-    """Return the work of processes that run episodes, each with a whole graph. A job's data is an index.
+    """Return the work of processes that run episodes, each with its own graph. A job's data is an index.
 
     Args:
         graph: Graph that each process starts; ``/w<number>`` replaces its namespace.

@@ -64,7 +64,7 @@ def shown_episode(
         shown_as: The bag, as commands of the page name it; empty: ``bag``.
         films: How the report beside it shows films; none: its images are not read.
         name: Name of its policy; empty: as the bag has it.
-        run: Its run's folder, with the logs; none: that which the bag lies in.
+        run: Its run's folder, with the logs; none: that of the bag.
 
     Raises:
         ConfigError: When the path is not a bag.

@@ -168,7 +168,7 @@ def _whole_view(task: Any, *, by_look: bool) -> dict[str, Any]:
 
     Args:
         task: The task's plain data.
-        by_look: Whether a look chooses the view, unless the task has one of its own.
+        by_look: Whether a look chooses the view, unless the task has its own view.
     """
     cameras = (task.get("reset") or {}).get("cameras") or {}
     views = cameras.get("views") or {}

@@ -104,7 +104,7 @@ class Evaluator:
 
         Args:
             make: Makes the policy, once for each worker, e.g. ``lambda: MyPolicy(model)``: each plays another episode
-                at the same time, so each needs a memory of its own. They may share the model.
+                at the same time, so each needs its own memory. They may share the model.
 
         Raises:
             UnavailableError: When a worker has died.

@@ -54,7 +54,7 @@ class EvaluationRecord:
     warnings: tuple[str, ...] = ()
     """What weakens the results, a sentence each."""
     film: FilmOptions = FilmOptions()
-    """Which films the report shows. Each shown episode has a page of its own."""
+    """Which films the report shows. Each shown episode has its own page."""
 
     def is_trained(self, policy: str) -> bool:
         """Return whether a policy is a checkpoint of a training."""

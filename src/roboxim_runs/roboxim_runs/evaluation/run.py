@@ -77,7 +77,7 @@ class EvaluationConfig(EpisodesConfig):
     latency: int = 0
     """Ticks by which every answer is late."""
     real_time: bool = False
-    """Whether simulated time goes on while the policy thinks. Such an evaluation is not repeatable."""
+    """Whether simulated time passes while the policy computes. Such an evaluation is not repeatable."""
     policy_timeout_s: float = 120.0
     """Longest wait for an answer [s]. A model's first call can take a minute, in which it is compiled."""
     server_wait_s: float = SERVER_WAIT_S
@@ -106,8 +106,8 @@ def evaluate(
 ) -> EvaluationResult:
     """Run policies in fresh scenes and write a report. Episodes that the folder has are not run again.
 
-    Evaluation scenes are never those of demonstrations, whatever the seed. A policy whose file or checkpoint has
-    changed since needs another folder.
+    Evaluation scenes are never those of demonstrations, with any seed. A policy whose file or checkpoint has changed
+    since needs another folder.
 
     Args:
         config: Configuration of the evaluation.

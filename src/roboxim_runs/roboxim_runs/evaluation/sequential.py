@@ -43,7 +43,7 @@ def evaluate_sequentially(
 ) -> SequentialResult:
     """Evaluate two policies on the same scenes, and stop at the first look at which they differ.
 
-    If no look decides, the report calls neither better, whatever a test says that knows nothing of the looks.
+    If no look decides, the report calls neither better, even if a test that ignores the looks finds a difference.
 
     Args:
         config: Configuration of the evaluation; ``episodes`` is the largest number of scenes.

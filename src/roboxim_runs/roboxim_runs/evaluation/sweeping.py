@@ -80,7 +80,7 @@ def sweep(
     """Choose the best of several policies, and measure it in fresh scenes.
 
     Args:
-        policies: The policies, each with a name of its own.
+        policies: The policies, each with a unique name.
         config: The scenes; its policies and number of episodes are not used.
         halving: Number of scenes.
         on_event: Receives the events of all evaluations.

@@ -1,8 +1,8 @@
 """Worker processes that outlive their run, so that the next run of the same kind need not start its own.
 
-The start of an episode worker imports the whole graph and a policy's libraries and compiles the policy: several seconds
-of processor time, more than a short evaluation's episodes. A kept process closes its worker after a run and makes
-another one for the next.
+The start of an episode worker imports the graph and a policy's libraries and compiles the policy: several seconds of
+processor time, more than a short evaluation's episodes. A kept process closes its worker after a run and makes another
+one for the next.
 
 Non-obvious:
 - Only a work that declares `Work.leaves_nothing` shares processes: a user's policy could keep a model in a module's

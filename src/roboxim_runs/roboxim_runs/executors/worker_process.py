@@ -3,8 +3,8 @@
 Non-obvious:
 - The kernel kills the process when the *thread* that started it ends, so that thread must live as long as the worker.
 - So a process that outlives its run is started by the thread of `KeptProcesses`.
-- A worker is a program of its own (``python -m roboxim_runs.executors.worker``), not a `multiprocessing` process:
-  that would import the caller's main module, so a script without ``if __name__ == "__main__"`` would start itself.
+- A worker is a separate program (``python -m roboxim_runs.executors.worker``), not a `multiprocessing` process: that
+  would import the caller's main module, so a script without ``if __name__ == "__main__"`` would start itself.
 """
 
 from __future__ import annotations

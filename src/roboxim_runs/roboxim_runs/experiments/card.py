@@ -208,7 +208,7 @@ def _origin_of_evaluations(evaluations: Sequence[Origin | None], renderer: str, 
     path = out / CARD_FILE
     try:
         card = parse_card(read_json(path), source=str(path)) if path.exists() else None
-    except ConfigError:  # of another schema, or damaged: this call writes it anew
+    except ConfigError:  # of another schema, or damaged: this call writes it again
         card = None
     if card is None:
         return Origin.here(renderer)

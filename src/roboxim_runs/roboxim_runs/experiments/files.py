@@ -90,7 +90,7 @@ def _stating_reductions(
 
 
 def with_trainer(config: ExperimentConfig, name: str) -> ExperimentConfig:
-    """Return an experiment that has a trainer, added from a file of its own if the experiment lacks it.
+    """Return an experiment that has a trainer, added from its own file if the experiment lacks it.
 
     A trainer's file that does not say how many steps it trains takes those of the experiment's first trainer: the
     experiment knows how long its trainings are, at each scale.

@@ -1,4 +1,4 @@
-"""Runs an experiment: a graph of stages, each an ordinary run in a folder of its own.
+"""Runs an experiment: a graph of stages, each an ordinary run in its own folder.
 
 ``OUT/experiment.json`` holds the experiment and the inputs of every stage, ``OUT/stages.jsonl`` a line for each
 finished stage, in the order in which they ended. The same call continues: finished stages are skipped, and an

@@ -83,7 +83,7 @@ class OwnPolicy:
     def files(self) -> dict[str, str]:
         """Return hashes of the code that defines it, see `roboxim_policies.identity.policy_files`.
 
-        The values of an instance are not part of it: its class's ``version`` can tell two of them apart.
+        The values of an instance are not part of it: its class's ``version`` can distinguish two of them.
         """
         name = f"<{self.cls.__qualname__}>"
         if getattr(sys.modules.get(self.cls.__module__), "__file__", None):

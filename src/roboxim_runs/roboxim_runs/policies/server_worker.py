@@ -40,7 +40,7 @@ class PolicyServerWorker:
             print(text, flush=True)  # noqa: T201 - the worker's log
 
         sessions = SharedSessions(lambda: load_policy(launch.spec, **launch.options), log=log)
-        host = os.environ.get(NODE_ADDRESS) or "127.0.0.1"  # on this machine alone, nobody else can connect
+        host = os.environ.get(NODE_ADDRESS) or "127.0.0.1"  # on this machine alone, no other user can connect
         self._server = SharedServer(sessions, key=os.environ[POLICY_KEY], host=host, port=0, log=log)
         self._server.__enter__()
 

@@ -70,7 +70,7 @@ def merge_shards(
     """Join the shards of one or several runs.
 
     Bags are linked where the file system allows it, otherwise copied; the shards stay unchanged. The report of an
-    evaluation is written anew.
+    evaluation is written again.
 
     Args:
         out: Folder of the merged run; may already hold a part of it.

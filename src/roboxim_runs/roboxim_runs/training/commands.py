@@ -1,4 +1,4 @@
-"""Trainings of an experiment: commands in processes of their own, several of them side by side.
+"""Trainings of an experiment: commands in separate processes, several in parallel.
 
 `train` runs them on this machine: the caller's thread starts, watches and ends all of them. The kernel ends them with
 that thread, so that none outlives a killed run. `train_on` hands them to an executor, whose workers run `train`

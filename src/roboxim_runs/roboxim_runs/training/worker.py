@@ -119,7 +119,7 @@ class _Ownership:
                 self._file.unlink()
 
     def is_set(self) -> bool:
-        """Return False; tell now and then that the worker lives.
+        """Return False; report now and then that the worker lives.
 
         Raises:
             WorkerBrokenError: When another worker has taken the training over.

@@ -189,7 +189,7 @@ class Drive:
             last: Whether the person ends the episode with it; the robot then holds still, and the judge decides.
 
         Returns:
-            Whether the episode goes on.
+            Whether the episode continues.
 
         Raises:
             RoboximError: On a fault of the simulator or the recorder.
@@ -203,7 +203,7 @@ class Drive:
             last: Whether the person ends the episode with it.
 
         Returns:
-            Whether the episode goes on.
+            Whether the episode continues.
 
         Raises:
             PolicyError: When the partner cannot act; nothing was executed, and the person may take over.

@@ -84,7 +84,7 @@ class Seen:
 
 
 class LiveGraph:
-    """A participant in a running graph. A context manager; ending it leaves the graph as it is."""
+    """A participant in a running graph. A context manager; ending it does not change the graph."""
 
     def __init__(self, run: Run, others: Sequence[Run] = ()) -> None:
         """Join a run.

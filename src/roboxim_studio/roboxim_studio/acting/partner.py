@@ -1,7 +1,7 @@
 """A policy, or the expert, that shares an episode with a person: either side can take over control.
 
-The episode loop asks for one action of the executed meaning per tick, from whoever has control. The partner's own
-chunks, gripper rule and lag are therefore applied here, with the loop's own `Acting`. When it gets control back, it
+The episode loop requests one action of the executed meaning per tick, from the actor that has control. The partner's
+own chunks, gripper rule and lag are therefore applied here, with the loop's own `Acting`. When it gets control back, it
 starts afresh: it is reset and plans from the present state, since the actions in between were not its own.
 """
 

@@ -79,7 +79,7 @@ def judge(task: TaskSpec, states: tuple[StateRecord, ...]) -> Judgement:
     """Judge recorded states.
 
     Raises:
-        RoboximError: When the task or its thresholds are not valid, or the states are not of one whole episode.
+        RoboximError: When the task or its thresholds are not valid, or the states are not those of a complete episode.
     """
     fold = Judge(task)
     verdicts = [fold.start(states[0]), *(fold.step(state) for state in states[1:])]

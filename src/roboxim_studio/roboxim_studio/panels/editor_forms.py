@@ -130,7 +130,7 @@ class ObjectForm:
 
 
 def free_place(taken: Sequence[Sequence[float]]) -> tuple[float, float]:
-    """Return the place nearest to the middle of the workspace that is `ROOM_M` from all others, else the loneliest.
+    """Return the place nearest to the workspace's middle that is `ROOM_M` from all others, else the farthest one.
 
     Args:
         taken: Places of the objects, x and y [m].

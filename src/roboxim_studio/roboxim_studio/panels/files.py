@@ -62,14 +62,14 @@ class FilesPanel:
         self.run: Path | None = None
         """The folder."""
         self.progress: Progress | None = None
-        """What goes on in it."""
+        """Its current activity."""
         self._lock = threading.RLock()
         self._fresh: list[Any] = []
         self._known: tuple[Path, ...] = ()
         self._closed = threading.Event()
 
     def open(self, folder: Path, bags: tuple[Path, ...]) -> None:
-        """List the bags of a run and open the first one that can be read; follow the run while it goes on.
+        """List the bags of a run and open the first one that can be read; follow the run until it ends.
 
         Raises:
             RoboximError: When its results cannot be read.
@@ -223,7 +223,7 @@ class FilesPanel:
         return rows
 
     def _follow(self) -> None:
-        """Show how a running run goes on, while a page looks; add the episodes that it finishes."""
+        """Show the progress of a run while a page is open; add the episodes that it finishes."""
         while not self._closed.wait(WATCH_S):
             with self._lock:
                 run, known = self.run, self._known

@@ -26,7 +26,7 @@ Toggle = Callable[[str], object]
 
 
 class TaskForm:
-    """Composes one task; `made` is what is drawn."""
+    """Composes one task; `made` is the task that is drawn."""
 
     def __init__(self, gui: Any, library: ModelLibrary, show_message: Callable[[str], None]) -> None:
         """Build the form in the current container.

@@ -43,7 +43,7 @@ POLICY = (
     "img-src 'self' data: blob:; font-src data:; worker-src blob: data:; frame-ancestors 'none'; base-uri 'none'; "
     "form-action 'none'; connect-src 'self' data: blob: ws://{host} wss://{host}"
 )
-"""Content security policy of the page: nothing but this server is asked for anything."""
+"""Content security policy of the page: the page sends requests only to this server."""
 WARM_UP = b"""
 if (self.Worker && self.OffscreenCanvas) {
   const source = "const gl = new OffscreenCanvas(1, 1).getContext('webgl2'); if (gl) gl.finish(); close()";
@@ -234,7 +234,7 @@ def _look_above_the_panel(client: Any) -> None:
 
 
 def _of_own_user(connection: Any) -> bool:
-    """Return whether this user, or the superuser, has the other end; yes where the kernel does not tell.
+    """Return whether this user, or the superuser, has the other end; true if the kernel does not report users.
 
     Other users can read the address in the command line of the browser that was started with it.
     """

@@ -171,7 +171,7 @@ class Expert:
         return min(max(state.seq - self._first_seq, 0), len(self._solution.reference) - 1)
 
     def _plan_first(self, view: ExpertScene) -> Solution:
-        """Return the drawn scene's solution if it is valid in the settled scene, else plan anew.
+        """Return the drawn scene's solution if it is valid in the settled scene, else plan again.
 
         Args:
             view: The scene, with the whole task.

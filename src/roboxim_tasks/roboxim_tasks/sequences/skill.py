@@ -31,7 +31,7 @@ from roboxim_tasks.task_config import DistractorConfig, ObjectConfig, StepConfig
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceParameters:
-    """A sequence has no parameters of its own; its steps have."""
+    """A sequence has no own parameters; its steps have."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Skills from one file, ``path/to/file.py:Class``, without a package of their own.
+"""Skills from one file, ``path/to/file.py:Class``, without a package.
 
 A task's configuration names the file, so every process that parses it has the skill. Other processes, e.g. of a report,
 find it by ``ROBOXIM_SKILLS``, a list like ``PATH`` of such names, or by an entry point of an installed package.

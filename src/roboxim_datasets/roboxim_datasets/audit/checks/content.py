@@ -1,6 +1,6 @@
 """Every value against what it should be: an export of the bags, or another dataset of the same episodes.
 
-This check knows no faults. Any difference is a finding; which edit explains it best is said for the reader.
+This check knows no faults. Any difference is a finding; the edit that explains it best is a hint for the reader.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Content(AuditCheck):
             count = min(len(values), len(wanted))
             bad = np.flatnonzero((values[:count] != wanted[:count]).any(axis=1))
             if not len(bad):
-                continue  # the length differs, which is said
+                continue  # the length differs, which is reported
             guess = self._guess(key, values, reference, bad)
             component = int((values[bad[0]] != wanted[bad[0]]).argmax())
             label = reference.names[key][component]

@@ -99,7 +99,7 @@ class Idle(AuditCheck):
 
 
 def _idle(episode: AuditEpisode) -> Flags:
-    """Return whether each action asks for no motion."""
+    """Return whether each action commands no motion."""
     actions, semantics = episode.actions, episode.episode.semantics
     motion = actions[:, :-1]
     if semantics is not None and not semantics.control.is_relative:

@@ -34,8 +34,8 @@ class Composed:
     keys: tuple[str, ...]
     """What they changed: ``action``, ``executed``, a vector, a camera, ``steps``, ``instruction``, ``task``."""
     action_mm: float
-    """Largest change of a translation that a label or an executed action asks for; of edits of whole steps, the motion
-    that is lost, added or does not join [mm]."""
+    """Largest change of the translation of a label or an executed action; of edits of whole steps, the motion that is
+    lost, added or does not join [mm]."""
     action_deg: float
     """The same of rotations [degrees]."""
     relabelled: bool

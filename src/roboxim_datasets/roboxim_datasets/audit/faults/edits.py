@@ -95,7 +95,7 @@ class Idle(DatasetFault):
     keeps_length = False
 
     def edit(self, episode: EditableEpisode, others: Sequence[Episode], rng: np.random.Generator) -> str:
-        """Repeat a step with an action that asks for no motion."""
+        """Repeat a step with an action that commands no motion."""
         semantics = episode.episode.semantics
         if semantics is None or not semantics.control.is_relative:
             return ""

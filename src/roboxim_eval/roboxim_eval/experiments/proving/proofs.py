@@ -83,7 +83,7 @@ class Tally:
         return frozenset(fault.bag for fault in self.faults)
 
     def refusal(self, max_faults: float = MAX_FAULTS) -> str:
-        """Return why a run must stop, naming bags and figures; empty: it may go on.
+        """Return why a run must stop, naming bags and figures; empty: it may continue.
 
         Args:
             max_faults: Tolerated share of faulty episodes. A training on another dataset is never tolerated.
@@ -313,7 +313,8 @@ def training_tally(
 ) -> Tally:
     """Check a training dataset against the cells that it may have.
 
-    An episode with the content of a held-out cell is a fault, whatever cell it claims (`distinguishing_checks`).
+    An episode with the content of a held-out cell is a fault, regardless of the cell that it claims
+    (`distinguishing_checks`).
 
     Args:
         demands: All cells of the experiment with their demands.

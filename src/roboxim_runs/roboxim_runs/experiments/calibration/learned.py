@@ -22,7 +22,7 @@ NEARLY = 0.05
 """Largest part by which the mean number of trainings at a time may differ from the number whose rate it shows."""
 PLAUSIBLE = 0.8
 """Least steps a second of trainings side by side, in all and relative to one alone, for their rate to be stored. If
-they were slower, something else disturbed them: nobody would run them side by side."""
+they were slower, something else disturbed them: running them in parallel has no advantage."""
 ALONE = "; trainings alone: "
 """What separates the source of a training's rate from that of the other rates."""
 

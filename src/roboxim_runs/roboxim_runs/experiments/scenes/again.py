@@ -72,7 +72,7 @@ def scenes_of(out: Path, *, trained: Path | None, fresh: bool, scene_seed: int) 
 def take_trainings(source: Path, out: Path) -> None:
     """Put the demonstrations, datasets and trainings of a finished run into a new folder, for fresh scenes.
 
-    Files are linked where the file system allows it. A folder that has them already is left as it is.
+    Files are linked where the file system allows it. A folder that has them already is not changed.
 
     Args:
         source: Folder of a run in the public scenes.

@@ -160,7 +160,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     """End a server and the processes that it started, and wait until all are gone."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         deadline = time.monotonic() + END_S
-        with contextlib.suppress(ProcessLookupError):  # nobody of the group is left
+        with contextlib.suppress(ProcessLookupError):  # no process of the group is left
             os.killpg(process.pid, number)
             while time.monotonic() < deadline:
                 process.poll()  # a leader that has ended would stay in its group
