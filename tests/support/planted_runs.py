@@ -77,19 +77,26 @@ def _agent_ports() -> dict[str, int]:
         return {name: one.getsockname()[1] for name, one in zip(names, sockets, strict=True)}
 
 
-def planted_folder(out: Path, rates: Mapping[str, float], text: str = PLANTED_EXPERIMENT) -> ExperimentFolder:
+def planted_folder(
+    out: Path,
+    rates: Mapping[str, float],
+    text: str = PLANTED_EXPERIMENT,
+    predicates: Mapping[str, float] | None = None,
+) -> ExperimentFolder:
     """Write an experiment's folder with results: scene k of a cell is solved if its number is below the rate.
 
     Args:
         out: The folder, which does not exist yet.
         rates: Condition to its success rate.
         text: The experiment, with 20 rollouts in each cell.
+        predicates: Predicates of every verdict.
     """
     from planted_cards import experiment_of
 
     from roboxim_core.config import to_plain
     from roboxim_core.episode import EpisodeResult
     from roboxim_core.plain_data.results_log import ResultsLog
+    from roboxim_core.verdicts import Verdict
     from roboxim_eval.experiments import stages_of
     from roboxim_runs.experiments.card import evaluation_folder
     from roboxim_runs.experiments.files import checked_design
@@ -121,5 +128,6 @@ def planted_folder(out: Path, rates: Mapping[str, float], text: str = PLANTED_EX
                 run.append(EpisodeResult(
                     episode_id=f"eval-{index}", index=index, outcome="success" if won else "failure",
                     reason="" if won else "not_lifted", instruction="Pick it up",
+                    verdict=Verdict(predicates=dict(predicates or {})),
                 ))  # fmt: skip
     return ExperimentFolder.of(out)

@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments.config import ExperimentConfig
+from roboxim_eval.statistics.beside import Beside
 from roboxim_eval.statistics.tables import RateInterval
 
 SCHEMA = 3
@@ -140,6 +141,9 @@ class CardTraining:
 class CardEvaluation:
     """Rollouts of one policy."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("beside",)
+    """Later fields, see `roboxim_core.config.LEFT_OUT`: cards without them keep their hashes."""
+
     condition: str
     """Its condition."""
     replicate: int
@@ -152,6 +156,8 @@ class CardEvaluation:
     """Hash of the results without wall times."""
     by_cell: dict[str, tuple[int, int, int]]
     """Cell to numbers of successes, episodes and errors."""
+    beside: Beside | None = None
+    """Force, speed, path and other measures beside success, and crossed limits; null: no task has ``limits``."""
 
 
 @dataclass(frozen=True, kw_only=True)

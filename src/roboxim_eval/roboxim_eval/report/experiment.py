@@ -25,6 +25,7 @@ from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
 from roboxim_eval.report.charts.forest import RATES, ForestRow, Scale, difference_scale
 from roboxim_eval.report.charts.heat_map import HeatMap, arm_maps
 from roboxim_eval.report.charts.table_map import Place
+from roboxim_eval.report.course import shown
 from roboxim_eval.report.episodes import (
     Episode,
     Link,
@@ -34,6 +35,7 @@ from roboxim_eval.report.episodes import (
     episodes_link,
     no_link,
 )
+from roboxim_eval.report.evaluation import MEASURE_NAMES
 from roboxim_eval.report.films import Film
 from roboxim_eval.report.page import render
 from roboxim_eval.report.parts import (
@@ -105,6 +107,13 @@ def experiment_page(page: ExperimentPage) -> str:
         forests=_forests(card, design, arms, link),
         emphasised=_has_primary(card),
         curve=_curve(card, link if page.checkpoints else no_link),
+        beside=[
+            (f"{row.condition}.{row.replicate}", row.beside)
+            for row in card.evaluations
+            if row.beside and not row.checkpoint
+        ],
+        value_of=shown,
+        measure_names=MEASURE_NAMES,
         combinations=transfer,
         combinations_chart=_transfer_chart(transfer, link) if transfer else None,
         map=map_view(page.episodes, names, page.place),

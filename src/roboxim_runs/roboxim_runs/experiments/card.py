@@ -34,6 +34,7 @@ from roboxim_eval.experiments.card import (
     sha256_of,
 )
 from roboxim_eval.experiments.card_checks import concluded
+from roboxim_eval.statistics.beside import beside_success
 from roboxim_runs.executors.protocol import as_json
 from roboxim_runs.experiments.delivery.demands import task_mix_of
 from roboxim_runs.experiments.files import trainer_name
@@ -234,6 +235,7 @@ def _evaluations(design: Design, results: Mapping[str, Mapping[Scene, EpisodeRes
                 )
                 for cell, of_cell in sorted(by_cell.items())
             },
+            beside=beside_success([rows[scene] for scene in sorted(rows)]),
         )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from roboxim_core.plain_data.results_log import ResultsLog, line_of
 from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
 from roboxim_core.proprioception import Proprioception
 from roboxim_eval.experiments import stages_of
+from roboxim_eval.experiments.card import parse_card
 from roboxim_runs.evaluation.report import EvaluationRecord
 from roboxim_runs.experiments import pack as experiment_pack
 from roboxim_runs.experiments.card import evaluation_folder
@@ -59,6 +60,21 @@ def test_a_folder_receives_a_card_and_a_page(tmp_path):
     episodes = experiment_episodes(folder)
     assert len(episodes) == 3 * (80 + 80 + 40)
     assert {e.cell for e in episodes if e.arm == "blind"} == {"pick_up target=cube", "place_on target=soda_can"}
+
+
+def test_card_and_page_have_the_measures_beside_success_of_tasks_with_limits(tmp_path):
+    measures = {"limits.force_max_n": 30.0, "limits.keep_out_s": 0.2, "limits.crossed": 2.0}
+    folder = planted_folder(tmp_path / "limited", PLANTED_RATES, predicates=measures)
+    card = folder_card(folder)
+    beside = card.evaluations[0].beside
+    assert (beside.episodes, beside.crossed) == (80, 80)
+    assert beside.measures["force_max_n"].median == 30.0
+    assert parse_card(json.loads((folder.path / "card.json").read_text())) == card
+    page = write_experiment_report(folder, card).read_text()
+    assert "<th>crossed a limit</th><th>largest force of a contact</th><th>time in a keep-out volume</th>" in page
+    assert '<td class="num">80 of 80</td><td class="num">30 N (30 N to 30 N)</td>' in page
+    without = folder_card(planted_folder(tmp_path / "free", PLANTED_RATES)).plain
+    assert [row for row in without["evaluations"] if "beside" in row] == [], "without limits, cards are as before"
 
 
 def test_the_printed_command_names_the_file_the_renderer_and_the_policies(tmp_path):
