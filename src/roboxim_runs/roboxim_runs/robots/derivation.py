@@ -226,7 +226,9 @@ class Arm:
     def _shapes(self, link: Element, folder: Path) -> list[Element]:
         """Return the visual and collision elements of a link; write its meshes."""
         recipe = self.recipe
-        meshes = LinkMeshes(recipe.name, folder, self.path, self._materials, triangles=recipe.triangles)
+        meshes = LinkMeshes(
+            recipe.name, folder, self.path, self._materials, triangles=recipe.triangles, max_faces=recipe.max_faces
+        )
         return meshes.visual(link) + meshes.collision(link)
 
     def _joint(self, joint: Element) -> Element:

@@ -48,6 +48,9 @@ class RobotRecipe:
     """Largest range of a joint [rad]; wider and continuous joints are cut to it, so that no search winds the arm up."""
     home: tuple[float, ...] = ()
     """Joint positions at home [rad]; empty: searched for, with the tool above the table's middle."""
+    max_faces: int = 0
+    """Faces of a convex collision part from which it becomes a coarser one that contains it, with about 400 faces: an
+    arm of many faces takes long to load; 0: none does."""
     triangles: int = 1200
     """Triangles of a link's visual mesh. The renderer draws a coarse shape of a link with more faces than pixels."""
 
