@@ -6,16 +6,13 @@ The constants below were tuned together for grasps that hold at 240 Hz; each com
 from __future__ import annotations
 
 import math
-import re
-import tempfile
 from collections.abc import Sequence
-from functools import lru_cache
-from pathlib import Path
 
 from roboxim_core.errors import SimError
 from roboxim_core.models.description import RobotModel
 from roboxim_core.specs import RobotSpec
 from roboxim_sim.bullet import BulletClient, pybullet
+from roboxim_sim.physics_urdf import physics_urdf
 
 FINGER_GAIN = 0.05
 """Position gain of the fingers: soft enough not to bounce off a hard object."""
@@ -49,9 +46,10 @@ class RobotBody:
             SimError: When PyBullet cannot load the URDF.
         """
         self._client, self._model = client, model
+        urdf = physics_urdf(model.urdf, model.gripper)
         try:
             self.id = client.loadURDF(
-                str(_physics_urdf(model.urdf)),
+                str(urdf.file),
                 spec.pose.position,
                 spec.pose.quat_xyzw,
                 useFixedBase=True,
@@ -68,7 +66,14 @@ class RobotBody:
         gripper = model.gripper
         self.fingers = [index[name] for name in gripper.joint_names]
         self._followers = [index[follower.name] for follower in gripper.followers]
+        self._leads = [(gripper.joint_names.index(row.leader), row.ratio) for row in gripper.followers]
+        self._follower_motors = {
+            "forces": [FOLLOWER_TORQUE] * len(self._followers),
+            "positionGains": [FOLLOWER_GAIN] * len(self._followers),
+            "velocityGains": [1.0] * len(self._followers),
+        }
         number_of = {link: number for number, link in self.link_names.items()}
+        number_of |= {link: number_of[whole] for link, whole in urdf.part_of.items()}
         self._tips = [number_of[link] for link in gripper.links[1:3]]
         for number, position in zip(self.arm, joints, strict=True):
             client.resetJointState(self.id, number, position)
@@ -155,16 +160,13 @@ class RobotBody:
     def _lead_followers(self) -> None:
         """Drive the followers to where the driven joints are now."""
         states = self._client.getJointStates(self.id, self.fingers)
-        gripper = self._model.gripper
         self._client.setJointMotorControlArray(
             self.id,
             self._followers,
             pybullet.POSITION_CONTROL,
-            targetPositions=gripper.followed([state[0] for state in states]),
-            targetVelocities=gripper.followed([state[1] for state in states]),
-            forces=[FOLLOWER_TORQUE] * len(self._followers),
-            positionGains=[FOLLOWER_GAIN] * len(self._followers),
-            velocityGains=[1.0] * len(self._followers),
+            targetPositions=[ratio * states[leader][0] for leader, ratio in self._leads],
+            targetVelocities=[ratio * states[leader][1] for leader, ratio in self._leads],
+            **self._follower_motors,
         )
 
     def _make_soft(self, number: int) -> None:
@@ -192,18 +194,3 @@ class RobotBody:
             childFramePosition=[0, 0, 0],
         )
         self._client.changeConstraint(gear, gearRatio=-1, erp=GEAR_ERP, maxForce=GEAR_FORCE_N)
-
-
-@lru_cache(maxsize=8)
-def _physics_urdf(urdf: Path) -> Path:
-    """Write a copy of a URDF for PyBullet: without visuals (it rejects GLB) and with absolute mesh paths."""
-    text = re.sub(r"\s*<visual>.*?</visual>", "", urdf.read_text(), flags=re.S)
-    folder = tempfile.TemporaryDirectory(prefix="roboxim-urdf-")
-    _KEPT.append(folder)
-    copy = Path(folder.name) / urdf.name
-    copy.write_text(text.replace("package://", f"{urdf.parent.parent}/"))
-    return copy
-
-
-_KEPT: list[tempfile.TemporaryDirectory[str]] = []
-"""Temporary folders, kept until the process ends."""
