@@ -3,7 +3,8 @@
 Nothing is staged: the meshes are imported by the default options into a temporary folder, the drop and the trial of the
 first grasp are simulated as the import does it, and the expert acts in a scene of the skill `pick_up`.
 
-Usage: ``python scripts/film_import.py [--out FILE]``; writes ``docs/images/import.webp``.
+Usage: ``python scripts/film_import.py [--out FILE] [--work DIR]``; writes ``docs/images/import.webp``. DIR keeps the
+imports.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ from roboxim_core.poses import Pose, look_at
 from roboxim_core.specs import CameraSpec, EntitySpec, MaterialSpec, SceneSpec, TableSpec
 from roboxim_core.vision.renderer import RenderBody, Renderer
 from roboxim_recorder.bag import BagReader
+from roboxim_runs.assets.check import UNITS
 from roboxim_runs.assets.floating_hand import LIFT_M, TIP, FloatingHand
-from roboxim_runs.assets.importing import Imported, import_mesh
+from roboxim_runs.assets.importing import guessed_unit, import_mesh, object_id_of
 from roboxim_runs.assets.solids import placed
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_sim.bodies import ObjectBody, build_table, configure
@@ -44,6 +46,7 @@ from roboxim_sim.rendering import make_renderer
 from roboxim_tasks.config import merged
 
 Picture = npt.NDArray[np.uint8]
+Array = npt.NDArray[np.float64]
 
 MESHES = (
     "random_urdfs/396/396.obj",
@@ -58,7 +61,9 @@ SIDE, LINE = 220, 24
 PLACE = np.array((0.5, 0.0, 0.0))
 """Where on the table the object is [m]."""
 PART_COLOURS = ("red", "yellow", "blue", "green", "orange", "purple", "cyan", "pink")
-DROP_M = 0.05
+MIDDLE = (0.22 * 2 * SIDE, 0.3 * 2 * SIDE, 0.82 * 2 * SIDE, 0.9 * 2 * SIDE)
+"""Part of the expert's picture that is shown."""
+DROP_M = 0.03
 FRAME_S = 0.1
 
 
@@ -68,10 +73,13 @@ def main() -> None:
     parser.add_argument(
         "--out", type=Path, default=Path(__file__).parents[1] / "docs/images/import.webp", metavar="FILE"
     )
-    out: Path = parser.parse_args().out
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["ROBOXIM_CONFIG_PATH"] = folder
-        columns = [list(column(Path(pybullet_data.getDataPath()) / mesh, Path(folder))) for mesh in MESHES]
+    parser.add_argument("--work", type=Path, metavar="DIR", help="keep the imports here (default: nowhere)")
+    options = parser.parse_args()
+    out: Path = options.out
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = options.work or Path(scratch)
+        os.environ["ROBOXIM_CONFIG_PATH"] = str(folder)
+        columns = [list(column(Path(pybullet_data.getDataPath()) / mesh, folder)) for mesh in MESHES]
     stages = []
     for parts in zip(*columns, strict=True):  # a stage lasts as long as its longest film
         most = max(map(len, parts))
@@ -86,18 +94,19 @@ def main() -> None:
 
 def column(mesh: Path, folder: Path) -> Iterator[list[Picture]]:
     """Import a mesh; yield the film of each stage."""
-    made = import_mesh(mesh, folder / "objects")
-    if not made.graspable:
+    file = folder / "objects" / f"{object_id_of(mesh)}.yaml"
+    if not file.is_file():
+        sys.stdout.write("\n  ".join([mesh.name, *import_mesh(mesh, folder / "objects").report]) + "\n")
+    model = ModelLibrary().object(file.stem)
+    if not model.grasps:
         sys.exit(f"{mesh.name}: no grasp was found; choose another mesh")
-    sys.stdout.write("\n  ".join([mesh.name, *made.report]) + "\n")
-    model = ModelLibrary().object(made.file.stem)
     renderer = make_renderer("raster")
     try:
         stage = Stage(renderer, model)
-        yield [titled(picture, mesh.name) for picture in as_in_the_file(stage, mesh, made)]
+        yield [titled(picture, mesh.name) for picture in as_in_the_file(stage, mesh, folder)]
         count = len(model.links[0].collision)
         text = f"{count} convex parts" if count > 1 else "convex as it is"
-        yield [titled(picture, text) for picture in parts_apart(stage, made)]
+        yield [titled(picture, text) for picture in parts_apart(stage)]
         yield [titled(picture, "dropped until it rests") for picture in dropped(stage)]
         text = f"a floating hand proves {len(model.grasps)} grasps"
         yield [titled(picture, text) for picture in grasped(stage)]
@@ -112,41 +121,48 @@ class Stage:
     def __init__(self, renderer: Renderer, model: ObjectModel) -> None:
         """Set the renderer and the object."""
         self.renderer, self.model = renderer, model
-        reach = 0.5 * float(np.linalg.norm(model.size)) + 0.02
-        middle = PLACE + (0.0, 0.0, 0.45 * reach)
-        self._view = look_at(middle + 4.6 * reach * np.array((0.62, 0.52, 0.59)), middle)
+        self._reach = 0.5 * float(np.linalg.norm(model.size)) + 0.02
 
-    def draw(self, shapes: dict[str, tuple[Visual, Pose]]) -> Picture:
-        """Return a picture of shapes at poses in the world."""
+    def draw(self, shapes: dict[str, tuple[Visual, Pose]], middle: Array = PLACE, more_m: float = 0.0) -> Picture:
+        """Return a picture of shapes at poses in the world.
+
+        Args:
+            shapes: Name to what is drawn and where.
+            middle: Point of the table in the middle of the picture [m].
+            more_m: Height above the object that is seen, too [m].
+        """
+        reach = self._reach + more_m / 2
+        middle = middle + (0.0, 0.0, 0.45 * reach)
+        view = look_at(middle + 4.6 * reach * np.array((0.62, 0.52, 0.59)), middle)
         room = render_world(SceneSpec(), ModelLibrary())
         bodies = [body for body in room.bodies if body.entity != "robot"]
         bodies += [RenderBody(key=key, entity="it", parts=visual_parts(visual)) for key, (visual, _) in shapes.items()]
         self.renderer.load(replace(room, bodies=tuple(bodies)))
         camera = CameraSpec(name="film", width=2 * SIDE, height=2 * SIDE, fov_y_rad=0.5, near=0.02)
         poses = {key: pose for key, (_, pose) in shapes.items()}
-        return self.renderer.render(poses, [(camera, self._view)])["film"].rgb
+        return self.renderer.render(poses, [(camera, view)])["film"].rgb
 
     def own(self, pose: Pose) -> dict[str, tuple[Visual, Pose]]:
         """Return the object's own visuals at a pose of its base."""
         return {f"own{k}": (visual, pose) for k, visual in enumerate(self.model.links[0].visual)}
 
 
-def as_in_the_file(stage: Stage, mesh: Path, made: Imported) -> Iterator[Picture]:
+def as_in_the_file(stage: Stage, mesh: Path, folder: Path) -> Iterator[Picture]:
     """Yield the mesh as it is in its file, turning once."""
     _, solid = placed(mesh, 1.0, "z")
-    scale = max(made.size_m) / float(max(solid.extents))
+    scale = UNITS[guessed_unit(float(max(solid.extents)))]
     scene = trimesh.load_scene(mesh, process=False)
     scene.apply_transform(np.diag([scale, scale, scale, 1.0]))
     middle, low = scene.bounds.mean(axis=0), scene.bounds[0][2]
     scene.apply_translation((-middle[0], -middle[1], -low))
-    file = made.file.with_name(f"{made.file.stem}_raw.glb")
+    file = folder / f"{mesh.stem}_raw.glb"
     file.write_bytes(scene.export(file_type="glb"))
     visual = Visual(kind="mesh", mesh=str(file))
     for turn in np.linspace(0.0, 2 * np.pi, 20, endpoint=False):
         yield stage.draw({"raw": (visual, Pose.from_arrays(PLACE, Rotation.from_euler("z", turn)))})
 
 
-def parts_apart(stage: Stage, made: Imported) -> Iterator[Picture]:
+def parts_apart(stage: Stage) -> Iterator[Picture]:
     """Yield the convex parts in colours, as they move apart and together again."""
     shapes = stage.model.links[0].collision
     middles = [trimesh.load_mesh(shape.mesh).bounds.mean(axis=0) for shape in shapes]
@@ -179,7 +195,8 @@ def dropped(stage: Stage) -> Iterator[Picture]:
         lift = DROP_M - client.getAABB(body.id, -1)[0][2]
         client.resetBasePositionAndOrientation(body.id, [*position[:2], position[2] + lift], turn)
         for _ in range(14):
-            yield stage.draw(stage.own(pose_of(body)))
+            now = pose_of(body)
+            yield stage.draw(stage.own(now), np.array((*now.position[:2], 0.0)))
             for _ in range(24):
                 client.stepSimulation()
     finally:
@@ -197,7 +214,7 @@ def grasped(stage: Stage) -> Iterator[Picture]:
         grasp = stage.model.grasps[0]
         hand = FloatingHand(client, pose @ grasp.pose, grasp.opening_m)
         for way in [(0.0, 0.0, 0.0)] * 5 + [(0.0, 0.0, LIFT_M / 10)] * 10 + [(0.0, 0.0, 0.0)] * 2:
-            yield stage.draw({**stage.own(pose_of(body)), **hand_shapes(client, hand)})
+            yield stage.draw({**stage.own(pose_of(body)), **hand_shapes(client, hand)}, more_m=LIFT_M)
             hand.run(FRAME_S, 0.0, way)
     finally:
         client.disconnect()
@@ -207,7 +224,7 @@ def hand_shapes(client: BulletClient, hand: FloatingHand) -> dict[str, tuple[Vis
     """Return the boxes of the floating hand at their poses."""
     grey = MaterialSpec(color=(0.85, 0.86, 0.88))
     size, (x, y, z) = TIP
-    palm = Visual(kind="box", size=(0.062, 0.2, 0.06), pose=Pose(position=(0.0, 0.0, 0.035)), material=grey)
+    palm = Visual(kind="box", size=(0.04, 0.2, 0.02), pose=Pose(position=(0.0, 0.0, 0.055)), material=grey)
     shapes = {"palm": (palm, hand.base)}
     for number, side in ((0, 1), (1, -1)):
         position, turn = client.getLinkState(hand.id, number, computeForwardKinematics=True)[4:6]
@@ -225,7 +242,7 @@ def pose_of(body: ObjectBody) -> Pose:
 def picked_up(object_id: str) -> Iterator[Picture]:
     """Yield what the workspace camera sees while the expert picks the object up."""
     change = {"objects": {"target": {"models": [object_id]}}, "distractors": {"minimum": 0, "maximum": 0}}
-    task = yaml.safe_dump(merged(yaml.safe_load(task_text(skill="pick_up", look="varied")), change))
+    task = yaml.safe_dump(merged(yaml.safe_load(task_text(skill="pick_up")), change))
     with tempfile.TemporaryDirectory() as folder, CoreGraph(Path(folder)) as cores:
         config = RunConfig(
             run_seed=3, purpose="demo", task_config=task, output_dir=folder, cameras=("workspace",),
@@ -236,7 +253,7 @@ def picked_up(object_id: str) -> Iterator[Picture]:
             sys.exit(f"{object_id}: the expert failed ({result.reason}); choose another mesh or seed")
         for tick in BagReader(Path(folder, result.bag)).ticks(("workspace",)):
             if tick.seq % 3 == 0:
-                yield tick.images["workspace"]
+                yield np.asarray(Image.fromarray(tick.images["workspace"]).crop(MIDDLE).resize((2 * SIDE, 2 * SIDE)))
 
 
 def titled(picture: Picture, text: str) -> Picture:

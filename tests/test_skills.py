@@ -78,10 +78,11 @@ def test_whole_episodes_of_nothing_do_not_solve_it(skill, run):
     assert not any(result.success_ever for result in results)
 
 
-FLOORS = dict.fromkeys(
-    ("push_button", "flip_switch", "turn_knob", "open_drawer", "close_drawer", "open_door", "close_door"), 0.10
+FLOORS = {"close_drawer": 0.20, "close_door": 0.15, "push_button": 0.10} | dict.fromkeys(
+    ("flip_switch", "turn_knob", "open_drawer", "open_door"), 0.05
 )
-"""Successes allowed to a randomly moving arm, which bumps into buttons, drawers and doors; other skills: none."""
+"""Successes allowed to a randomly moving arm, which bumps into buttons, drawers and doors: what `make bench-chance`
+found (docs/results/verdicts.md), rounded up to a multiple of 5 %. Other skills: none."""
 
 
 @pytest.mark.slow
