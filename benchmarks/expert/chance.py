@@ -54,7 +54,7 @@ def main() -> None:
     if options.docs:
         write_docs(rows)
     worst = max(one["solved"] / one["episodes"] for one in rows)
-    bench.finish("largest share of random episodes that solve a skill", worst, "", at_most=0.1)
+    bench.finish("largest share of random episodes that solve a skill", worst, "", at_most=0.15)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -98,7 +98,8 @@ def row(skill: str, outcomes: list[dict[str, Any]]) -> dict[str, Any]:
 def write_docs(rows: list[dict[str, Any]]) -> None:
     """Replace the table in docs/results/verdicts.md."""
     lines = [
-        f"| `{one['skill']}` | {one['episodes']} | {one['solved']} | {one['low']:.1%} to {one['high']:.1%} |"
+        f"| `{one['skill']}` | {one['episodes']} | {one['solved']} "
+        f"| {100 * one['low']:.1f} to {100 * one['high']:.1f} % |"
         for one in sorted(rows, key=lambda one: (-one["solved"], one["skill"]))
     ]
     before, rest = DOCS.read_text().split(BEGIN, 1)
