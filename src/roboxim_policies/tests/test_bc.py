@@ -214,7 +214,7 @@ def test_weights_that_are_not_those_of_the_description_are_not_copied(trained, t
         content = dict(archive)
     content[max(content.keys() - {"said"})] += 1.0
     np.savez(tmp_path / "checkpoint.npz", **content)
-    with pytest.raises(ConfigError, match="is damaged: its averaged weights have another hash"):
+    with pytest.raises(ConfigError, match="is damaged: the hash of its averaged weights differs"):
         policy_only(tmp_path)
     np.savez(tmp_path / "checkpoint.npz", said=content["said"])
     with pytest.raises(ConfigError, match="it has no weights"):

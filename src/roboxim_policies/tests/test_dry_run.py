@@ -79,7 +79,7 @@ VELOCITIES = np.hstack([np.linspace(0.02, 0.1, 42).reshape(6, 7), GRIPPER])
         (DROID_POSITION, POSITIONS * ([0.3] * 7 + [1]), "un-normalised. a joint is commanded to a position 1.7 rad"),
         (DROID_POSITION, POSITIONS[:, [6, 5, 4, 3, 2, 1, 0, 7]], "another order of the joints"),
         (DROID_VELOCITY, VELOCITIES, ""),
-        (DROID_VELOCITY, VELOCITIES * ([0.05] * 7 + [1]), "wrong rate or scale.*rad/s.*says 15 Hz"),
+        (DROID_VELOCITY, VELOCITIES * ([0.05] * 7 + [1]), "wrong rate or scale.*rad/s.*states 15 Hz"),
         (DROID_VELOCITY, VELOCITIES * ([0] * 7 + [1]), "does not move"),
     ],
 )

@@ -61,7 +61,7 @@ def test_an_episode_is_found_by_its_bag_or_its_number(evaluated: Path) -> None:
     for place, number, policy, said in (
         (evaluated, 7, "", "has no episode 7; it has 0"), (evaluated, None, "", "say which one, e.g. roboxim show"),
         (evaluated, 0, "bc", "no policy 'bc'"), (evaluated / "zero", 0, "zero", "is not an evaluation's folder"),
-        (by_number.bag, 3, "", "is no run whose episode 3"),
+        (by_number.bag, 3, "", "is not a run with an episode 3"),
         (evaluated.parent, None, "", "neither a bag nor .*evaluated"),
     ):  # fmt: skip
         with pytest.raises(ConfigError, match=said):
@@ -126,7 +126,7 @@ def test_what_the_policy_printed_is_told_by_episode(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     log = tmp_path / "logs/worker-0.log"
     log.write_text("loading\n")
-    assert "do not tell its episodes apart" in printed(tmp_path, 1)[1]
+    assert "do not separate episodes" in printed(tmp_path, 1)[1]
     first, second, other = (EPISODE_MARK.format(n) for n in (1, 1, 2))
     node = "[INFO] [1795693283.896] [w0.sim]: renderer"
     log.write_text(f"loading\n{first}\nlost\n{second}\nhello\n{node}\nworld\n{other}\nnot mine\n")
