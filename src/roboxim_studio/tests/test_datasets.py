@@ -110,7 +110,7 @@ def test_the_arm_of_a_foreign_dataset_is_shown_at_every_step(studio, foreign):
     studio.open(recognise(str(foreign)))
     panel = studio.dataset
     assert panel.track is None
-    assert "no 3D: the dataset names no arm" in panel._arm_text.content
+    assert "no 3D: the dataset names no known arm" in panel._arm_text.content
     panel.choose_arm("no_arm")  # as a forged message of a page would
     assert panel.track is None
     panel.choose_arm("panda")
