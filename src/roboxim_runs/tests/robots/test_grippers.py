@@ -29,6 +29,14 @@ FINGER = """<link name="{s}_arm"/><link name="{s}_tip"><collision><geometry><box
     <axis xyz="{x} 0 0"/><limit lower="0" upper="1" velocity="2" effort="5"/></joint>
   <joint name="{s}_level" type="revolute"><parent link="{s}_arm"/><child link="{s}_tip"/><origin xyz="0 0 0.06"/>
     <axis xyz="{x} 0 0"/><limit lower="-1" upper="0" velocity="2" effort="5"/>{mimic}</joint>"""
+NOT_PROVEN = {
+    **dict.fromkeys(
+        ((arm, "widowx_ai_gripper") for arm in ("fr3", "gen3", "iiwa14", "xarm7")),
+        "a rocked cube slips by 7 to 10 mm between its narrow finger tips",
+    ),
+    ("widowx_ai", "franka_hand"): "the hand is too large for the arm: free of self-collision in 22 % of the states",
+}
+"""Arms and grippers that `robot check` refuses, as docs/how-to/robots.md says."""
 MIMIC = '<mimic joint="left_turn" multiplier="-1"/>'
 
 
@@ -86,8 +94,17 @@ def test_an_arm_of_the_library_keeps_its_limits(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", GRIPPERS)
-@pytest.mark.parametrize("arm", [name for name in ModelLibrary().robot_ids if name != "panda_2f85"])
+@pytest.mark.parametrize(
+    ("arm", "name"),
+    [
+        pytest.param(
+            arm, name, marks=[pytest.mark.xfail(reason=reason)] if (reason := NOT_PROVEN.get((arm, name))) else []
+        )
+        for arm in ModelLibrary().robot_ids
+        for name in GRIPPERS
+        if arm != "panda_2f85"
+    ],
+)
 def test_every_gripper_fits_every_arm(arm: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(derivation, "srdf_text", partial(srdf_text, samples=300))
     derive(RobotRecipe(name="mine", arm=arm, gripper=name), tmp_path / "robots", report=lambda line: None)
