@@ -3,7 +3,7 @@
 Each trial acts in scenes of its skill through the delta controller, as a policy does, over the cores and without
 cameras. A cheat is as expected if no tick is a success; an honest solution if the episode is a success after settling.
 With ``--out`` each finished episode is stored, and the same command continues an interrupted run. ``--docs`` writes the
-rows of the chosen trials into the table of docs/results/verdicts.md.
+rows of the chosen trials into the tables of docs/results/verdicts.md (cheats) and honest_ways.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from tqdm import tqdm
 from roboxim_runs.evaluation.trials import TrialRuns
 from roboxim_tasks.trials import TRIALS, Trial
 
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "results" / "verdicts.md"
+RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
+DOCS = {False: RESULTS / "verdicts.md", True: RESULTS / "honest_ways.md"}
+"""Pages of cheats and of honest ways."""
 BEGIN, END = "<!-- adversaries: begin -->", "<!-- adversaries: end -->"
 HEAD = "| skill | what is tried | must | as expected |\n| --- | --- | --- | --- |"
 
@@ -53,7 +55,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="store episodes here and continue from them")
     parser.add_argument("--trials", default="", metavar="TEXT[,TEXT]", help="only trials whose name contains a text")
     parser.add_argument("--scenes", type=int, default=10, metavar="N", help="scenes per trial (default: 10)")
-    parser.add_argument("--docs", action="store_true", help="write the rows into docs/results/verdicts.md")
+    parser.add_argument(
+        "--docs", action="store_true", help="write the rows into docs/results/verdicts.md and honest_ways.md"
+    )
 
 
 def measure(chosen: dict[str, Trial], scenes: int, out: Path | None) -> dict[str, list[dict[str, Any]]]:
@@ -98,25 +102,28 @@ def row(trial: Trial, outcomes: list[dict[str, Any]]) -> dict[str, str | float]:
 
 
 def write_docs(chosen: dict[str, Trial], outcomes: dict[str, list[dict[str, Any]]]) -> None:
-    """Replace the rows of some trials in docs/results/verdicts.md; rows of trials that are no more are dropped."""
-    text = DOCS.read_text()
-    if BEGIN not in text or END not in text:
-        raise SystemExit(f"{DOCS} has no '{BEGIN}' and '{END}' to write the table between")
-    before, rest = text.split(BEGIN, 1)
-    old, after = rest.split(END, 1)
-    lines = [HEAD]
-    for key, trial in sorted(((key, TRIALS[key]) for key in TRIALS), key=_place):
-        start = f"| `{trial.skill}` | {trial.does.rstrip('.')} | "
-        kept = next((line for line in old.splitlines() if line.startswith(start)), "")
-        if key in chosen:
-            must = "succeed" if trial.honest else f"fail: `{trial.reason}`"
-            kept = f"{start}{must} | {row(trial, outcomes[key])['as_expected']} |"
-        lines += [kept] if kept else []
-    DOCS.write_text("\n".join([before + BEGIN, *lines, END + after]))
+    """Replace the rows of some trials in both pages; rows of trials that are no more are dropped."""
+    for honest, page in DOCS.items():
+        text = page.read_text()
+        if BEGIN not in text or END not in text:
+            raise SystemExit(f"{page} has no '{BEGIN}' and '{END}' to write the table between")
+        before, rest = text.split(BEGIN, 1)
+        old, after = rest.split(END, 1)
+        lines = [HEAD]
+        for key, trial in sorted(((key, TRIALS[key]) for key in TRIALS), key=_place):
+            if trial.honest != honest:
+                continue
+            start = f"| `{trial.skill}` | {trial.does.rstrip('.')} | "
+            kept = next((line for line in old.splitlines() if line.startswith(start)), "")
+            if key in chosen:
+                must = "succeed" if trial.honest else f"fail: `{trial.reason}`"
+                kept = f"{start}{must} | {row(trial, outcomes[key])['as_expected']} |"
+            lines += [kept] if kept else []
+        page.write_text("\n".join([before + BEGIN, *lines, END + after]))
 
 
-def _place(item: tuple[str, Trial]) -> tuple[str, bool, str]:
-    return item[1].skill, item[1].honest, item[1].name
+def _place(item: tuple[str, Trial]) -> tuple[str, str]:
+    return item[1].skill, item[1].name
 
 
 if __name__ == "__main__":

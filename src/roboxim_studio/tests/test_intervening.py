@@ -179,7 +179,7 @@ def test_a_bag_that_says_of_too_few_actions_who_acted_is_damaged(reader, shared,
     shutil.copytree(reader.path, copy)
     broken = BagReader(copy)
     broken.__dict__["result"] = type(reader.result)(**{**vars(reader.result), "steps": reader.result.steps + 1})
-    with pytest.raises(RecorderError, match="who acted"):
+    with pytest.raises(RecorderError, match="names the actor of"):
         acted_by(broken)
 
 

@@ -31,7 +31,7 @@ SHOWN: dict[str, dict[str, str]] = {
         "success": "test_an_outcome_that_nobody_states_stays_unknown",
         "other types and shapes, numbers that are not float32": "test_other_types_are_read_or_named",
         "NaN or an infinity in an episode, with episode, name and step": "test_damage_names_episode_key_and_step",
-        "a picture of another size than the description says": "test_lerobot_of_others",
+        "a picture of another size than described": "test_lerobot_of_others",
     },
     "success": {
         "`success` of an episode or, in HDF5, of its last step": "test_success_of_each_step_is_that_of_the_last_one",
@@ -75,7 +75,7 @@ SHOWN: dict[str, dict[str, str]] = {
         "nested groups (`a/b` becomes `a.b`)": "test_hdf5_of_others",
         "1-D observations, matrices as vectors": "test_what_hdf5_reads_and_leaves_out",
         "demonstrations in no mask (as `train`, unless there is a mask `train`)": "test_hdf5_of_others",
-        "demonstrations without actions or without what most have": "test_hdf5_of_others",
+        "demonstrations without actions or without arrays that most have": "test_hdf5_of_others",
         "other masks": "test_masks_and_observations_of_hdf5_are_read_or_named",
         "float images, `states` and everything outside `obs/`": "test_what_hdf5_reads_and_leaves_out",
         "depth without a stated unit": "test_depth_segmentation_and_cameras_of_hdf5_add_up",
