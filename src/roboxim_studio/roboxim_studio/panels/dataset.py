@@ -163,14 +163,14 @@ class DatasetPanel:
         )  # fmt: skip
         arms.on_update(lambda event: self.choose_arm(str(event.target.value)) if event.client else None)
         self._arm_text = gui.add_html("")
-        slider: Any = gui.add_slider("Step", min=0, max=max(1, len(episode) - 1), step=1, initial_value=0)
-        slider.on_update(lambda event: self.step(int(event.target.value)) if event.client else None)
+        self._slider: Any = gui.add_slider("Step", min=0, max=max(1, len(episode) - 1), step=1, initial_value=0)
+        self._slider.on_update(lambda event: self.step(int(event.target.value)) if event.client else None)
         self._folder = gui.add_folder("Pictures")
         curves = gui.add_folder("Plots")
         with curves:
             for plot in _plots(episode, rows):
                 gui.add_uplot(plot.data(), plot.series(), title=plot.title, height=170)
-        self._own = [facts, arms, self._arm_text, slider, self._folder, curves]
+        self._own = [facts, arms, self._arm_text, self._slider, self._folder, curves]
 
     def choose_arm(self, name: str) -> None:
         """Show the positions of the joints with an arm, or say why that is not possible."""
@@ -290,7 +290,7 @@ class DatasetPanel:
     def step(self, number: int) -> None:
         """Show the arm at a step, and those of its pictures that have come."""
         with self._lock:
-            self.number = number
+            self.number = self._slider.value = number
             self._show_arm()
             for name, image in self._pictures.at(number).items():
                 if name in self._images:
