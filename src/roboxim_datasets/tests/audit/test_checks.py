@@ -419,6 +419,19 @@ def test_an_arm_whose_joint_is_as_fast_as_it_can_falls_behind_and_catches_up() -
         assert found("motion", AuditEpisode(name="e0", split="", episode=episode, arm=arm), *others) == faulty
 
 
+def test_a_jolt_of_an_arm_whose_joint_is_at_its_position_limit_is_a_warning() -> None:
+    others = [audited.episode(seed) for seed in range(1, 12)]
+    place, joints = audited.arrays(0)["tcp_position"].copy(), audited.arrays(0)["joint_positions"].copy()
+    place[20:, 1] += 0.03
+    arm = audited.KnownArm()
+    for value, faulty in ((arm.upper[4] - 0.001, ()), (arm.upper[4] - 0.1, ("e0",))):
+        joints[19:21, 4] = value
+        episode = audited.episode(tcp_position=place, joint_positions=joints)
+        made = AuditEpisode(name="e0", split="", episode=episode, arm=arm)
+        assert found("motion", made, *others) == faulty
+        assert ("at its position limit" in texts("motion", made, *others)[0]) == (not faulty)
+
+
 def relabelled(episode: Any, labels: np.ndarray) -> Any:
     """Return an episode with other labels, of which the executed actions stay."""
 

@@ -22,8 +22,10 @@ DRIFT = 3.0
 """Times the tolerance that the sum of an episode's residuals may reach."""
 FOLLOWS = 0.8
 """Least share of the variance of measured motion that actions explain where they are what they are declared to be."""
-AT_LIMIT = 0.97
-"""Share of a joint's velocity limit from which its controller may have shortened an action."""
+AT_LIMIT = 0.9
+"""Share of a joint's velocity limit, as a mean of a tick, from which its controller may have shortened an action."""
+AT_END_RAD = 0.003
+"""Distance from a joint's position limit [rad] at which it cannot follow an action, and the others compensate."""
 BEYOND = 1.15
 """Share of it that measured joints reach while they catch up."""
 ROUGH = 0.4
@@ -47,6 +49,8 @@ class _Seen:
     limited: Flags
     """Steps in which a joint moved as fast as it can, and those after each, in which the arm catches up; shape
     (T - 1,)."""
+    at_end: Flags
+    """Steps that begin or end with a joint at its position limit, and those after each; shape (T - 1,)."""
 
 
 @AUDIT_CHECKS.register("motion")
@@ -60,8 +64,8 @@ class Motion(AuditCheck):
         f"degrees in a tick, or {DRIFT:g} times as much in sum; in data that is not simulated, also by more than "
         f"{TYPICAL:g} times what is typical; or all actions explain less than {100 * FOLLOWS:.0f} % of the motion, "
         "lead to the motion of another tick, or have another scale; ticks at a joint's velocity limit and the next "
-        f"aside, and a warning alone where the arm is up to {PUSHED:g} times as far aside for a single tick, as after "
-        "a contact"
+        f"aside, and a warning alone where a joint is at its position limit, or the arm is up to {PUSHED:g} times as "
+        "far aside for a single tick, as after a contact"
     )
     needs = "the declared meaning of the actions, and the measured pose or joints that they command"
     order = 7
@@ -75,7 +79,7 @@ class Motion(AuditCheck):
         for chain in chains_of(episode):
             seen = _Seen(
                 name=episode.name, chain=chain, simulated=episode.simulated, limited=_caught_up(_limited(episode)),
-                failed=episode.episode.success is False,
+                at_end=_caught_up(_at_end(episode)), failed=episode.episode.success is False,
             )  # fmt: skip
             self._seen.setdefault(f"{chain.name} {episode.robot} {episode.rate_or(0):g}", []).append(seen)
         yield from ()
@@ -105,6 +109,17 @@ def _limited(episode: AuditEpisode) -> Flags:
     speeds = np.abs(np.diff(episode.proprio["joint_positions"].astype(float), axis=0)) * rate
     fast = (speeds >= AT_LIMIT * arm.velocity).any(axis=1) & (speeds <= BEYOND * arm.velocity).all(axis=1)
     return np.asarray(fast)
+
+
+def _at_end(episode: AuditEpisode) -> Flags:
+    """Return in which steps a joint was at its position limit, before or after, shape (T - 1,)."""
+    arm = episode.arm
+    if arm is None or "joint_positions" not in episode.proprio:
+        return np.zeros(len(episode.actions) - 1, bool)
+    joints = episode.proprio["joint_positions"].astype(float)
+    beyond = np.asarray((joints <= arm.lower + AT_END_RAD) | (joints >= arm.upper - AT_END_RAD))
+    there = np.asarray(beyond.any(axis=1))
+    return np.asarray(there[:-1] | there[1:])
 
 
 def _caught_up(limited: Flags) -> Flags:
@@ -150,6 +165,7 @@ def _of_one(seen: _Seen, rows: Values, values: Values, tolerance: float, weights
     drift = np.linalg.norm(np.cumsum(rows, axis=0), axis=1)
     bad = np.flatnonzero(values > tolerance)
     pushed = bool(len(bad)) and values.max() <= PUSHED * tolerance and _returns(drift > tolerance)
+    at_end = bool(len(bad)) and bool(seen.at_end[bad].all())
     if not len(bad) and float(drift.max(initial=0.0)) <= DRIFT * tolerance:
         return
     unit, per = chain.unit, chain.per_unit
@@ -165,13 +181,15 @@ def _of_one(seen: _Seen, rows: Values, values: Values, tolerance: float, weights
     yield Finding(
         text=f"{chain.name}: measured motion and actions differ by {text}"
         + (
-            "; the arm is back at the next tick, as after a contact"
+            "; a joint is at its position limit there"
+            if at_end
+            else "; the arm is back at the next tick, as after a contact"
             if pushed
             else _guess(chain, weights, values > tolerance)
         ),
         episodes=(seen.name,),
         ticks=tuple(dict.fromkeys(ticks)),
-        severity=Severity.WARNING if seen.failed or pushed else Severity.FAULT,
+        severity=Severity.WARNING if seen.failed or pushed or at_end else Severity.FAULT,
         series={f"difference [{unit}]": tuple(values / per), f"in sum [{unit}]": tuple(drift / per)},
     )
 
