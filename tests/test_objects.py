@@ -32,7 +32,13 @@ of an object made by hand, and of an imported one, whose few convex parts are no
 
 each_object = pytest.mark.parametrize(
     "object_id",
-    [*LIBRARY.object_ids, *(pytest.param(name, marks=pytest.mark.thorough) for name in SHAPES)],
+    [
+        *LIBRARY.object_ids,
+        *(
+            pytest.param(name, marks=pytest.mark.slow if number % 10 else pytest.mark.thorough)
+            for number, name in enumerate(SHAPES)
+        ),
+    ],
 )
 
 

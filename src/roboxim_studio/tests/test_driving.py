@@ -160,9 +160,12 @@ def test_driving_in_the_page_with_held_keys(studio, chromium, tmp_path):
     assert drive.result.outcome == "failure"
     assert check_bag(drive.bag).ok
     chromium.wait("document.documentElement.dataset.studioDriving === 'false'")
+    wait_for(lambda: studio.drive.kept == 1, "the episode counted", 60)
+    assert studio.drive.solved == 0
     chromium.key("Backspace", down=True)
     chromium.key("Backspace", down=False)
     wait_for(lambda: not list(tmp_path.glob("episodes/*")), "the episode thrown away", 60)
+    wait_for(lambda: studio.drive.kept == 0, "the episode not counted any more", 60)
 
 
 @pytest.mark.slow

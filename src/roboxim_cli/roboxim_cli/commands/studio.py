@@ -83,7 +83,7 @@ def command(
         stop.wait()
     if kept := studio.drive.kept:
         folder = studio.drive.bags.name
-        click.echo(f"\n{kept} episode{'s' * (kept > 1)} kept in {folder}")
+        click.echo(f"\n{kept} episode{'s' * (kept > 1)} kept in {folder}, {studio.drive.solved} solved")
         click.echo(f"next: roboxim export lerobot {folder} --for act --out {folder}-act")
 
 

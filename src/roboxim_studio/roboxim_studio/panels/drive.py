@@ -82,6 +82,8 @@ class DrivePanel:
         """The episode; none: none was begun."""
         self.kept = 0
         """Number of episodes that were kept since the studio began."""
+        self.solved = 0
+        """Number of those that are a success."""
         self._received: dict[int, tuple[float, Mapping[str, Any]]] = {}
         self._target: Pose | None = None
         self._base = Pose()
@@ -368,18 +370,25 @@ class DrivePanel:
         film = drive.film
         assert film is not None
         self._show_line(film.states[-1])
-        self.kept += drive.bag is not None
+        self._count(drive, 1)
         kept = f"kept as {drive.bag.name}" if drive.bag is not None else ""
         self._show_message(
-            f"{ending(film)} after {film.result.steps} actions; {kept}\nBackspace or 'Throw away' removes it"
+            f"{ending(film)} after {film.result.steps} actions; {kept}\nBackspace or 'Throw away' removes it\n"
+            f"kept so far: {self.kept}, of them solved: {self.solved}"
         )
         self._site.send(hint=f"{ending(film)}; Backspace throws it away")
+
+    def _count(self, drive: Drive, number: int) -> None:
+        """Count an episode that was kept, or with -1 one that is thrown away after all."""
+        if drive.bag is not None and drive.film is not None:
+            self.kept += number
+            self.solved += number * (drive.film.result.outcome == "success")
 
     def _throw(self) -> None:
         drive, self._ending = self.drive, ""
         self._running.clear()
         if drive is not None:
-            self.kept -= drive.bag is not None
+            self._count(drive, -1)
             drive.throw_away()
             self.drive = None
         self._stop_driving()
