@@ -71,3 +71,14 @@ def test_a_run_that_cannot_be_read_is_named(begun):
         (folder / RUN_FILE).write_text("{")
         studio.files.progress.follow()
         assert "is damaged" in studio.files.progress._facts.content
+
+
+def test_a_folder_that_is_gone_for_a_while_is_followed_again(begun, tmp_path):
+    folder, drive = begun
+    with Studio() as studio:
+        studio.open(recognise(str(folder)))
+        folder.rename(tmp_path / "elsewhere")
+        wait_for(lambda: "No such file" in studio.files.selection._message.content, "the message", 60)
+        (tmp_path / "elsewhere").rename(folder)
+        drive.close()
+        wait_for(lambda: len(studio.files.entries) == 1, "the finished episode", 60)

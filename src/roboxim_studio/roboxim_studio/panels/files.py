@@ -231,13 +231,13 @@ class FilesPanel:
                     continue
                 if self.progress is not None and self._site.pages and self.folder.visible:
                     self.progress.follow()
-                bags = bags_of(run)
-                if bags == known:
-                    continue
                 there = {entry.path: entry for entry in self.entries}
                 try:
+                    bags = bags_of(run)
+                    if bags == known:
+                        continue
                     new = {entry.path: entry for entry in list_entries([bag for bag in bags if bag not in there], run)}
-                except RoboximError as error:
+                except (RoboximError, OSError) as error:  # the folder may be moved, or written at this moment
                     self._show_message(str(error), alert=True)
                     continue
                 self._known = bags
