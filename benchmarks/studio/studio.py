@@ -19,7 +19,7 @@ from urllib.request import urlopen
 from benchmarks._harness import Bench, rss_mib
 
 from roboxim_studio.app import Studio
-from roboxim_studio.browser import Browser
+from roboxim_studio.browser import Browser, wait_for
 
 ROBOXIM = (sys.executable, "-m", "roboxim_cli")
 COUNT = (
@@ -75,7 +75,7 @@ def generate_watched(out: Path, episodes: int) -> float:
         browser.open(studio.url)
         browser.wait("document.documentElement.dataset.studioConnected === 'true'")
         took = generate(out, episodes)
-        assert len(studio.files.entries) >= episodes - 1, "the page did not follow the run"
+        wait_for(lambda: len(studio.files.entries) == episodes, "the page to list the whole run")
     return took
 
 
