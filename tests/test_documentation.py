@@ -176,6 +176,9 @@ def test_the_front_page_counts_what_there_is() -> None:
     )  # fmt: skip
     text = (ROOT / "README.md").read_text()
     assert [count for count in said if count not in text] == []
+    peers = (ROOT / "docs/explanation/comparison.md").read_text()
+    assert f"| {len(SKILLS)} skills, " in peers
+    assert f"| {len(arms)} arms; PyBullet |" in peers
 
 
 @pytest.mark.parametrize("block", PYTHON, ids=str)

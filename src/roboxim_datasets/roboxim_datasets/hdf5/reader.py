@@ -382,7 +382,8 @@ class Hdf5Dataset(Dataset):
             elif own and path.startswith("next_") and path.removeprefix("next_") in found:
                 account.implies("key", path, "the observations one step ahead", array.length)
             elif path.startswith("next_") and is_one_step_ahead(demo, path, found):
-                account.implies("key", path, "the observations one step ahead", array.length - 1)
+                some = ", images compared in three rows" if len(array.shape) > 1 else ""
+                account.implies("key", path, f"the observations one step ahead{some}", array.length - 1)
                 account.leaves_out("key", path, "the observation after the last action", 1)
             else:
                 why = reason_not_read(path, array) or (

@@ -85,6 +85,22 @@ def _next_observations(data: Any, *, apart: float = 0.0) -> None:
             demo[f"next_obs/{name}"] = np.concatenate([values[1:], values[:1]]) + np.array(apart, values.dtype)
 
 
+def _damaged_next_observations(data: Any) -> None:
+    """Add next observations of which a stored byte is wrong, as its checksum tells."""
+    for demo in data.values():
+        values = demo["obs/eef_pos"][()]
+        made = demo.create_dataset(
+            "next_obs/eef_pos", data=np.concatenate([values[1:], values[:1]]), chunks=values.shape, fletcher32=True
+        )
+        made.file.flush()
+        at = made.id.get_chunk_info(0).byte_offset
+        with Path(made.file.filename).open("r+b") as file:
+            file.seek(at)
+            first = file.read(1)
+            file.seek(at)
+            file.write(bytes([first[0] ^ 255]))
+
+
 HDF5_CASES: dict[str, tuple[Callable[[Any], None], tuple[str, ...]]] = {
     "nested": (_nested, ("datagen_info",)),
     "no actions": (lambda data: data["demo_2"].__delitem__("actions"), ("demo_2", "it has no 'actions'")),
@@ -99,6 +115,10 @@ HDF5_CASES: dict[str, tuple[Callable[[Any], None], tuple[str, ...]]] = {
     ),
     "other next observations": (
         lambda data: _next_observations(data, apart=3.0),
+        (f"{EPISODES} episodes", f"next_obs/eef_pos, {EPISODES * STEPS} frames"),
+    ),
+    "damaged next observations": (
+        _damaged_next_observations,
         (f"{EPISODES} episodes", f"next_obs/eef_pos, {EPISODES * STEPS} frames"),
     ),
     "arm": (lambda data: _attributes(data, {"robots": ["Panda"]}), (f"{EPISODES} episodes", "robot     Panda")),

@@ -6,9 +6,10 @@ name; cameras, sites, contacts, sensors and motors' gains are left out.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
@@ -24,6 +25,8 @@ Array = npt.NDArray[np.float64]
 VISIBLE_GROUPS = (0, 1, 2)
 """Groups of geoms that MuJoCo's viewer shows."""
 _TURNS = ("quat", "euler", "axisangle")
+_SIZES = {"sphere": 1, "cylinder": 2, "capsule": 2, "box": 3}
+"""Kind of geom to the least number of its sizes."""
 _REFUSED = {"include": "expand it first, e.g. by mujoco.mj_saveLastXML", "replicate": "expand it first"}
 
 
@@ -40,9 +43,12 @@ def urdf_of(root: Element, path: Path) -> Element:
         path: Its file; mesh paths become relative to it.
 
     Raises:
-        ConfigError: When it holds what a URDF cannot say.
+        ConfigError: When it holds what a URDF cannot say, or wrong numbers.
     """
-    return _Reader(root, path).urdf()
+    try:
+        return _Reader(root, path).urdf()
+    except ValueError as error:  # of numbers and rotations
+        raise ConfigError(f"{path} is not valid: {error}") from None
 
 
 @dataclass
@@ -98,7 +104,7 @@ class _Reader:
         for actuator in self.root.iterfind("actuator/*"):
             given = self._full(actuator, "main")
             if "joint" in given and "forcerange" in given:
-                yield given["joint"], max(map(abs, _numbers(given["forcerange"])))
+                yield given["joint"], max(map(abs, _numbers(given, "forcerange", 2)))
 
     def urdf(self) -> Element:
         world = self.root.find("worldbody")
@@ -133,10 +139,10 @@ class _Reader:
         kinds = {"hinge": "revolute", "slide": "prismatic"}
         if found is not None and (kind := given.get("type", "hinge")) not in kinds:
             raise ConfigError(f"{self.path}: joint '{given.get('name')}' is a {kind}; expected a hinge or a slide")
-        if any(_numbers(given.get("pos", "0 0 0"))):
+        if any(_numbers(given, "pos", 3, default="0 0 0")):
             raise ConfigError(f"{self.path}: joint '{given.get('name')}': pos must be 0, the origin of its body")
         kind = "fixed" if found is None else kinds[given.get("type", "hinge")]
-        lower, upper = _numbers(given.get("range", "0 0"))
+        lower, upper = _numbers(given, "range", 2, default="0 0")
         if kind == "revolute":
             lower, upper = lower * self._unit, upper * self._unit
             kind = "revolute" if lower < upper and given.get("limited") != "false" else "continuous"
@@ -147,15 +153,15 @@ class _Reader:
         ElementTree.SubElement(made, "child", {"link": name})
         if kind == "fixed":
             return
-        ElementTree.SubElement(made, "axis", {"xyz": given.get("axis", "0 0 1")})
+        ElementTree.SubElement(made, "axis", {"xyz": _text(_numbers(given, "axis", 3, default="0 0 1"))})
         limit = {} if kind == "continuous" else {"lower": f"{lower:.10g}", "upper": f"{upper:.10g}"}
-        force = given.get("actuatorfrcrange")
-        effort = max(map(abs, _numbers(force))) if force else self._efforts.get(named, 0.0)
+        forces = _numbers(given, "actuatorfrcrange", 2, default="0 0")
+        effort = max(map(abs, forces)) or self._efforts.get(named, 0.0)
         ElementTree.SubElement(made, "limit", limit | {"velocity": "0", "effort": f"{effort:.10g}"})
 
     def _mimic(self, equality: Element, joints: dict[str, Element]) -> None:
         first, second = str(equality.get("joint1")), str(equality.get("joint2"))
-        factors = _numbers(equality.get("polycoef", "0 1 0 0 0"))
+        factors = _numbers(equality.attrib, "polycoef", 2, 5, default="0 1 0 0 0")
         if first not in joints or second not in joints or any(factors[2:]):
             raise ConfigError(f"{self.path}: <equality>: {first} must be a multiple of the joint {second}")
         values = {"joint": second, "multiplier": f"{factors[1]:.10g}", "offset": f"{factors[0]:.10g}"}
@@ -163,7 +169,7 @@ class _Reader:
 
     def _geom(self, geom: Element, link: Element, inherited: str) -> None:
         given = self._full(geom, inherited)
-        seen = int(given.get("group", "0")) in VISIBLE_GROUPS
+        seen = _numbers(given, "group", 1, default="0")[0] in VISIBLE_GROUPS
         touched = given.get("contype", "1") != "0" or given.get("conaffinity", "1") != "0"
         for tag in (*(("visual",) if seen else ()), *(("collision",) if touched else ())):
             shape = ElementTree.SubElement(link, tag)
@@ -171,26 +177,30 @@ class _Reader:
             ElementTree.SubElement(shape, "geometry").append(self._shape(given))
             color = given.get("rgba") or self._colors.get(given.get("material", ""))
             if tag == "visual" and color:
+                _numbers({"rgba": color}, "rgba", 4)
                 material = ElementTree.SubElement(shape, "material", {"name": ""})
                 ElementTree.SubElement(material, "color", {"rgba": color})
 
     def _shape(self, given: dict[str, str]) -> Element:
-        kind, size = given.get("type", "sphere"), _numbers(given.get("size", ""))
+        kind = "mesh" if "mesh" in given else given.get("type", "sphere")
         if "fromto" in given:
             raise ConfigError(f"{self.path}: a geom with fromto is not read; give pos, quat and size")
-        if kind == "mesh" or "mesh" in given:
-            mesh = self._meshes.get(given["mesh"])
-            if mesh is None:
-                raise ConfigError(f"{self.path}: no mesh '{given['mesh']}' in <asset>")
+        if kind == "mesh":
+            name = given.get("mesh", "")
+            mesh = self._meshes.get(name)
+            if mesh is None or not mesh.get("file"):
+                raise ConfigError(f"{self.path}: no mesh '{name}' with a file in <asset>")
             file = str(Path(self._meshes_in) / mesh.get("file", ""))
-            return ElementTree.Element("mesh", {"filename": file, "scale": mesh.get("scale", "1 1 1")})
+            scale = _text(_numbers(mesh.attrib, "scale", 3, default="1 1 1"))
+            return ElementTree.Element("mesh", {"filename": file, "scale": scale})
+        if kind not in _SIZES:
+            kinds = "mesh, box, sphere, cylinder or capsule"
+            raise ConfigError(f"{self.path}: a geom of type {kind} is not read; use {kinds}")
+        size = _numbers(given, "size", _SIZES[kind], 3)
         if kind == "box":
             return ElementTree.Element("box", {"size": _text(2 * np.array(size))})
-        if kind == "sphere":
-            return ElementTree.Element("sphere", {"radius": _text(size[:1])})
-        if kind in ("cylinder", "capsule"):
-            return ElementTree.Element(kind, {"radius": _text(size[:1]), "length": _text([2 * size[1]])})
-        raise ConfigError(f"{self.path}: a geom of type {kind} is not read; use mesh, box, sphere, cylinder or capsule")
+        length = {} if kind == "sphere" else {"length": _text([2 * size[1]])}
+        return ElementTree.Element(kind, {"radius": _text(size[:1])} | length)
 
     def _inertial(self, body: Element, link: Element) -> None:
         found = body.find("inertial")
@@ -200,13 +210,14 @@ class _Reader:
             return
         place, turn = self._pose(found)
         if found.get("fullinertia"):
-            xx, yy, zz, xy, xz, yz = _numbers(str(found.get("fullinertia")))
+            xx, yy, zz, xy, xz, yz = _numbers(found.attrib, "fullinertia", 6)
             inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         else:
-            inertia = np.diag(_numbers(found.get("diaginertia", "0 0 0")))
+            inertia = np.diag(_numbers(found.attrib, "diaginertia", 3, default="0 0 0"))
         inertia = turn.as_matrix() @ inertia @ turn.as_matrix().T
         made = ElementTree.SubElement(link, "inertial")
         made.append(_origin(place, Rotation.identity()))
+        _numbers(found.attrib, "mass", 1, default="0")
         ElementTree.SubElement(made, "mass", {"value": found.get("mass", "0")})
         names = ("xx", "xy", "xz", "yy", "yz", "zz")
         values = {f"i{name}": f"{inertia['xyz'.index(name[0]), 'xyz'.index(name[1])]:.8g}" for name in names}
@@ -218,14 +229,14 @@ class _Reader:
             raise ConfigError(f"{self.path}: {min(other)} of a <{element.tag}> is not read; use {' or '.join(_TURNS)}")
         turn = Rotation.identity()
         if "quat" in given:
-            w, x, y, z = _numbers(given["quat"])
+            w, x, y, z = _numbers(given, "quat", 4)
             turn = Rotation.from_quat([x, y, z, w])
         elif "euler" in given:
-            turn = Rotation.from_euler("XYZ", self._unit * np.array(_numbers(given["euler"])))
+            turn = Rotation.from_euler("XYZ", self._unit * np.array(_numbers(given, "euler", 3)))
         elif "axisangle" in given:
-            *axis, angle = _numbers(given["axisangle"])
-            turn = Rotation.from_rotvec(self._unit * angle * np.array(axis) / np.linalg.norm(axis))
-        return np.array(_numbers(given.get("pos", "0 0 0"))), turn
+            *axis, angle = _numbers(given, "axisangle", 4)
+            turn = Rotation.from_rotvec(self._unit * angle * np.array(axis) / (np.linalg.norm(axis) or 1.0))
+        return np.array(_numbers(given, "pos", 3, default="0 0 0")), turn
 
 
 def _origin(place: Array, turn: Rotation) -> Element:
@@ -239,5 +250,23 @@ def _text(values: npt.ArrayLike) -> str:
     return " ".join(f"{value:.10g}" for value in np.asarray(values).tolist())
 
 
-def _numbers(text: str) -> list[float]:
-    return [float(word) for word in text.split()]
+def _numbers(given: Mapping[str, str], name: str, least: int, most: int = 0, *, default: str = "") -> list[float]:
+    """Return the numbers of an attribute.
+
+    Args:
+        given: The element's attributes.
+        name: Name of the attribute.
+        least: Smallest number of numbers.
+        most: Largest number of numbers; 0: the smallest.
+        default: Text of an attribute that is not there.
+
+    Raises:
+        ValueError: When it holds another number of numbers, or they are not finite.
+    """
+    text = given.get(name, default)
+    with contextlib.suppress(ValueError):
+        found = [float(word) for word in text.split()]
+        if least <= len(found) <= max(least, most) and all(map(math.isfinite, found)):
+            return found
+    expected = f"{least}" if most <= least else f"{least} to {most}"
+    raise ValueError(f"{name}='{text}': expected {expected} finite number{'s' * (max(least, most) > 1)}")
