@@ -121,3 +121,20 @@ def test_an_obj_of_another_encoding_is_read(package):
         file = package / "meshes" / f"{encoding}.obj"
         file.write_bytes(text.encode(encoding))
         assert np.allclose(np.ptp(load_mesh(file).bounds, axis=0), 0.04)
+
+
+@pytest.mark.parametrize(
+    ("vertices", "said"),
+    [
+        ("v 0\nv 1\nv 2\n", "vertices of 1 numbers, expected 3"),
+        ("v 0 0 0\nv 0.05 0 0\nv 0.1 0 0\n", "no surface: all triangles are lines"),
+    ],
+)
+def test_a_mesh_without_a_surface_is_a_finding(tmp_path: Path, vertices: str, said: str) -> None:
+    (tmp_path / "own.obj").write_text(vertices + "f 1 2 3\n")
+    (tmp_path / "own.yaml").write_text(
+        "name: own\nlinks:\n- mass: 0.1\n  collision: [{kind: box, size: [0.1, 0.1, 0.1]}]\n"
+        "  visual: [{kind: mesh, mesh: own.obj}]\n"
+    )
+    findings, _ = check_object(tmp_path / "own.yaml")
+    assert any(said in finding.message for finding in findings), findings

@@ -359,10 +359,14 @@ def _samples(model: ObjectModel, *, seen: bool) -> tuple[Array, npt.NDArray[np.i
         for visual in link.visual if seen else map(_shown, link.collision):
             meshes.append([(part.mesh, poses[link.name]) for part in visual_parts(visual)])
     total = sum(_area(mesh) for group in meshes for mesh, _ in group)
+    if total == 0.0:
+        raise ConfigError(f"the {'visuals' if seen else 'collision shapes'} have no surface: all triangles are lines")
     rng = np.random.default_rng(0)
     points, numbers = [], []
     for number, group in enumerate(meshes):
         for mesh, pose in group:
+            if _area(mesh) == 0.0:
+                continue
             count = max(30, round(SAMPLES * (1 if seen else 2) * _area(mesh) / total))
             points.append(pose.apply(_on_surface(mesh, count, rng)))
             numbers.append(np.full(count, number))

@@ -28,6 +28,34 @@ LARGEST = 1e6
 """Largest coordinate of a mesh, in the file's units."""
 
 
+def load_scene(path: Path | str) -> trimesh.Scene:
+    """Return a mesh file as the scene of its parts, in the file's units.
+
+    Raises:
+        ConfigError: When it cannot be read, or a part has wrong vertices or faces.
+    """
+    import trimesh
+
+    try:
+        scene = trimesh.load_scene(path, process=False)
+    except Exception as error:  # trimesh's readers raise exceptions of any class
+        raise ConfigError(f"cannot read the mesh {path}: {type(error).__name__}: {error}") from None
+    for part in scene.geometry.values():
+        if isinstance(part, trimesh.Trimesh):
+            _check(part, path)
+    return scene
+
+
+def _check(mesh: trimesh.Trimesh, path: Path | str) -> None:
+    """Refuse a mesh whose vertices or faces are wrong, which trimesh reads."""
+    if mesh.vertices.shape[1] != 3:
+        raise ConfigError(f"the mesh {path} has vertices of {mesh.vertices.shape[1]} numbers, expected 3")
+    if not (np.abs(mesh.vertices) <= LARGEST).all():
+        raise ConfigError(f"the mesh {path} has a vertex that is not a number of at most {LARGEST:g}")
+    if len(mesh.faces) and (mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices)):
+        raise ConfigError(f"the mesh {path} has a face of vertex {mesh.faces.max()}, of {len(mesh.vertices)} vertices")
+
+
 def load_mesh(path: Path | str) -> trimesh.Trimesh:
     """Return a mesh file as a single mesh, in the file's units.
 
@@ -36,16 +64,14 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
     """
     import trimesh
 
+    scene = load_scene(path)
     try:
-        mesh = trimesh.load_scene(path, process=False).to_mesh()
-    except Exception as error:  # trimesh's readers raise exceptions of any class
+        mesh = scene.to_mesh()
+    except Exception as error:  # e.g. of transforms that cannot be applied
         raise ConfigError(f"cannot read the mesh {path}: {type(error).__name__}: {error}") from None
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
         raise ConfigError(f"the mesh {path} has no faces")
-    if not (np.abs(mesh.vertices) <= LARGEST).all():
-        raise ConfigError(f"the mesh {path} has a vertex that is not a number of at most {LARGEST:g}")
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise ConfigError(f"the mesh {path} has a face of vertex {mesh.faces.max()}, of {len(mesh.vertices)} vertices")
+    _check(mesh, path)
     return mesh
 
 

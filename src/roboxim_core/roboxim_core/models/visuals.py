@@ -21,6 +21,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.description import Visual
+from roboxim_core.models.hulls import load_scene
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.meshes import box_mesh, triangles, visual_generators
 from roboxim_core.models.urdf import mesh_path, origin_pose
@@ -282,13 +283,12 @@ def _plane(center: npt.ArrayLike, half_u: npt.ArrayLike, half_v: npt.ArrayLike) 
 def _load_mesh(path: str) -> tuple[VisualPart, ...]:
     import trimesh
 
-    try:
-        scene = trimesh.load_scene(path, process=False)
-    except Exception as error:  # trimesh's readers raise exceptions of any class
-        raise ConfigError(f"cannot read the mesh {path}: {type(error).__name__}: {error}") from None
+    scene = load_scene(path)
     parts = []
     for node in sorted(scene.graph.nodes_geometry):
         transform, name = scene.graph[node]
+        if not isinstance(scene.geometry[name], trimesh.Trimesh):
+            continue  # points and lines
         mesh = scene.geometry[name].copy(include_cache=True)  # the normals of the file are in the cache
         mesh.apply_transform(transform)
         parts.append(VisualPart(mesh=_mesh_of(mesh), material=_material_of(mesh, f"{path}#{name}")))
