@@ -1,7 +1,7 @@
 """The studio: from command to page to first picture, state updates, memory of many episodes, cost of watching a run.
 
 Needs an installed Chromium, whose WebGL is software here; a page with a GPU draws sooner. A run is generated alone and
-watched in turns.
+watched in turns; the page that watches has been opened and drawn before the run begins.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ COUNT = (
     "(() => { window.seen = 0; new MutationObserver(() => window.seen++).observe(document.body, "
     "{subtree: true, characterData: true, childList: true}) })()"
 )
+OPENED_S = 5.0
+"""Time for a page to finish its first pictures before the run that it watches begins [s]."""
 DRAWN = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
 
 
@@ -74,6 +76,8 @@ def generate_watched(out: Path, episodes: int) -> float:
         studio.files.open(out, ())
         browser.open(studio.url)
         browser.wait("document.documentElement.dataset.studioConnected === 'true'")
+        browser.run(DRAWN)
+        time.sleep(OPENED_S)
         took = generate(out, episodes)
         wait_for(lambda: len(studio.files.entries) == episodes, "the page to list the whole run")
     return took

@@ -29,6 +29,7 @@ from roboxim_studio.sharing import share
 if TYPE_CHECKING:
     from roboxim_runs.policies.specs import ChosenPolicy
     from roboxim_studio.acting.live import LiveGraph
+    from roboxim_studio.first_view import FirstView
 
 EPISODE, SCENE, DRIVE, GRAPH = "Episode", "Scene", "Drive", "Graph"
 """What the view shows: an episode, a scene being edited, an episode that a person drives, or a running graph."""
@@ -46,6 +47,7 @@ class Studio:
         policies: Sequence[ChosenPolicy] = (),
         graph: LiveGraph | None = None,
         site: Site | None = None,
+        first: FirstView | None = None,
     ) -> None:
         """Start the server, without content.
 
@@ -56,18 +58,20 @@ class Studio:
             policies: Policies that "what if" offers, besides the expert.
             graph: A running graph to show and edit; the studio leaves it when it closes.
             site: A server that was started before, so that a page loads while this is made; none: one is started.
+            first: What the page of `site` shows already; none: nothing.
 
         Raises:
             RoboximError: When the port is taken.
         """
-        self.library = ModelLibrary()
+        self.library = ModelLibrary() if first is None else first.library
         self.bench, self.lab = Bench(), Lab(policies=policies)
         self._keys = Bench()  # a key must not wait for a simulation
         self.folder = folder or Path.cwd()
         """Folder that files are written to."""
         self.site = site or Site(Access(open_network=open_network), port)
         server = self.site.viser
-        self.view = SceneView(server, self.library)
+        self.view = SceneView(server, self.library) if first is None else first.view
+        self._first_film = None if first is None else first.film
         self._modes = server.gui.add_button_group(
             "View", (EPISODE, SCENE, DRIVE) if graph is None else (EPISODE, SCENE, DRIVE, GRAPH)
         )
@@ -89,7 +93,7 @@ class Studio:
         )  # fmt: skip
         self.live = None if graph is None else LivePanel(self.site, self.view, self.library, graph, self.editor)
         """The panel of the running graph, if there is one."""
-        self.view.objects_clicked = self._clicked
+        self.view.on_objects_clicked(self._clicked)
         with self.what_if.folder:
             edit = server.gui.add_button("Edit this scene")
             html = server.gui.add_button("Write it as one HTML file")
@@ -156,7 +160,9 @@ class Studio:
         Raises:
             RoboximError: When it is not a complete bag, or its models are unknown.
         """
-        film = read_film(path)
+        film, self._first_film = self._first_film, None
+        if film is None or film.path != path:
+            film = read_film(path)
         self.watch(film)
         return film
 

@@ -4,10 +4,15 @@ import pytest
 
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_recorder.bag import BagReader
+from roboxim_studio.app import Studio
+from roboxim_studio.browser import wait_for
 from roboxim_studio.episode.film import marks, read_film
 from roboxim_studio.episode.judgement import judge, thresholds, with_thresholds
+from roboxim_studio.first_view import first_view
 from roboxim_studio.opening import Kind, recognise
 from roboxim_studio.panels import markup
+from roboxim_studio.serving.access import Access
+from roboxim_studio.serving.site import Site
 
 
 def test_every_tick_shows_the_bags_state_and_verdict(studio, bag):
@@ -23,6 +28,30 @@ def test_every_tick_shows_the_bags_state_and_verdict(studio, bag):
             body = studio.view._bodies[entity.name][1]
             assert tuple(body.position) == pytest.approx(entity.pose.position, abs=1e-5)  # the page skips smaller moves
     assert set(film.pictures.at(0)) == {camera.name for camera in film.info.scene.cameras}
+
+
+def test_what_a_page_shows_first_stays_when_the_studio_is_there(bag, tmp_path):
+    site = Site(Access())
+    first = first_view(site, recognise(str(bag)))
+    shown = {name: handle for name, (_, handle) in first.view._bodies.items()}
+    assert tuple(shown["target"].position) == pytest.approx(first.film.states[0].entity("target").pose.position)
+    with Studio(site=site, first=first) as studio:
+        assert studio.open_bag(bag) is first.film
+        assert {name: handle for name, (_, handle) in studio.view._bodies.items()} == shown, "sent once"
+        assert studio.open_bag(bag) is not first.film, "opened again, it is read again"
+        studio.edit_episode()
+        wait_for(lambda: studio.editor.desk is not None, "the scene to edit", 60)
+        (clicked,) = shown["target"]._impl.click_cb
+        clicked.callback(None)
+        assert studio.editor.selected == "target", "what was shown first can be clicked"
+
+    (damaged := tmp_path / bag.name).mkdir()
+    (damaged / "x.mcap").write_bytes(b"no bag")
+    site = Site(Access())
+    first = first_view(site, recognise(str(damaged)))
+    assert first.film is None
+    with Studio(site=site, first=first) as studio, pytest.raises(RoboximError, match=bag.name):
+        studio.open(recognise(str(damaged)))
 
 
 def test_marks_name_contact_success_and_end(bag):

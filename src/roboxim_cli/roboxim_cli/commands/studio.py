@@ -73,9 +73,12 @@ def command(
         click.echo("from other machines: this machine's name instead of 127.0.0.1; traffic is not encrypted", err=True)
     if browser:
         threading.Thread(target=webbrowser.open, args=(site.url,), daemon=True).start()
-    from roboxim_studio.app import Studio  # most of the studio: a page loads meanwhile
+    from roboxim_studio.first_view import first_view
 
-    with Studio(policies=chosen, graph=graph, site=site) as studio:
+    first = first_view(site, opened)
+    from roboxim_studio.app import Studio  # most of the studio: a page loads and draws meanwhile
+
+    with Studio(policies=chosen, graph=graph, site=site, first=first) as studio:
         if run is not None:
             named = ", ".join(f"{other.id} ({other.kind})" for other in others)
             click.echo(f"attached to the run {run.id}{f'; other runs: {named}' if named else ''}", err=True)

@@ -322,10 +322,12 @@ def _stretched(part: VisualPart, scale: Vec3) -> VisualPart:
     if scale == (1.0, 1.0, 1.0):
         return part
     normals = part.mesh.normals / np.asarray(scale)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    lengths[lengths == 0.0] = 1.0  # a vertex of no face
     mesh = replace(
         part.mesh,
         vertices=(part.mesh.vertices * np.asarray(scale)).astype(np.float32),
-        normals=(normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32),
+        normals=(normals / lengths).astype(np.float32),
     )
     return replace(part, mesh=mesh)
 

@@ -5,7 +5,6 @@ A bag is written in complete chunks of a few ticks, so a reader needs no index a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +43,8 @@ class Unfinished:
         self._schemas: dict[int, MessageSchema] = {}
         self._channels: dict[int, Channel] = {}
         self._newest: dict[str, bytes] = {}
+        self._decoders: dict[str, Decoder] = {}
+        self._decoded: dict[str, tuple[bytes, Picture]] = {}
 
     def read(self) -> None:
         """Read what was written since the last time; a bag that has been finished or moved meanwhile adds nothing."""
@@ -74,18 +75,35 @@ class Unfinished:
             if self._schemas[channel.schema_id].name == IMAGE:
                 self._newest[channel.topic] = record.data
 
-    def pictures(self) -> Mapping[str, Picture]:
-        """Return the newest picture of each camera, uint8, shape (height, width, 3); none before the first chunk.
+    def picture(self, camera: str = "") -> Picture | None:
+        """Return the newest picture of a camera, uint8, shape (height, width, 3); the same array until one is newer.
 
-        Raises:
-            RecorderError: When a picture cannot be decoded.
+        Args:
+            camera: Its name; empty: the first one that was recorded.
+
+        Returns:
+            None before the first chunk, or when the picture cannot be decoded.
         """
-        names = {topic: topic.removeprefix(_BEFORE).removesuffix(_AFTER) for topic in self._newest}
-        names = {topic: name for topic, name in names.items() if topic == image_topic(name)}  # no depth
-        schemas = {channel.topic: self._schemas[channel.schema_id] for channel in self._channels.values()}
-        decoder = Decoder({topic: schemas[topic] for topic in names})
-        with damage(self._bag):
-            return {name: image_from_msg(decoder.decode(topic, self._newest[topic])) for topic, name in names.items()}
+        topic = image_topic(camera) if camera else next(filter(_is_picture, self._newest), "")
+        data = self._newest.get(topic)
+        if data is None:
+            return None
+        if topic not in self._decoded or self._decoded[topic][0] is not data:
+            if topic not in self._decoders:
+                schema = next(self._schemas[one.schema_id] for one in self._channels.values() if one.topic == topic)
+                self._decoders[topic] = Decoder({topic: schema})
+            try:
+                with damage(self._bag):
+                    picture = image_from_msg(self._decoders[topic].decode(topic, data))
+            except RoboximError:
+                return None
+            self._decoded[topic] = data, picture
+        return self._decoded[topic][1]
+
+
+def _is_picture(topic: str) -> bool:
+    """Return whether a topic of images is that of a camera's colours, not of its depth."""
+    return topic == image_topic(topic.removeprefix(_BEFORE).removesuffix(_AFTER))
 
 
 class Growing:
@@ -102,11 +120,3 @@ class Growing:
         for episode in self._known.values():
             episode.read()
         return tuple(self._known.values())
-
-
-def newest_picture(episode: Unfinished) -> Picture | None:
-    """Return the newest picture of an episode's first camera; None: there is none, or it cannot be read."""
-    try:
-        return next(iter(episode.pictures().values()), None)
-    except RoboximError:
-        return None

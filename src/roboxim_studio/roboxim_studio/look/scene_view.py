@@ -65,8 +65,13 @@ class SceneView:
         self._poses: ScenePoses | None = None
         self._arms: dict[str, ArmKinematics] = {}
         self._frame = server.scene.add_frame(root, show_axes=False)
-        self.objects_clicked: Callable[[str], None] | None = None
-        """Called with an entity's name when its body is clicked; None: clicks move the view only."""
+        self._objects_clicked: Callable[[str], None] | None = None
+
+    def on_objects_clicked(self, call: Callable[[str], None]) -> None:
+        """Call a function with an entity's name when its body is clicked; without it clicks move the view only."""
+        self._objects_clicked = call
+        for body, handle in self._bodies.values():
+            self._listen(body, handle)
 
     def load(self, scene: SceneSpec, offset_y_m: float = 0.0, without: Collection[str] = ()) -> None:
         """Show a scene; bodies that it shares with the one before stay.
@@ -155,13 +160,13 @@ class SceneView:
             f"{self._root}/bodies/{key.replace('/', '.')}", body_glb(body),
             cast_shadow=body.entity not in STATIC[1:3], receive_shadow=True,
         )  # fmt: skip
-        if body.entity not in (*STATIC, "robot") and self.objects_clicked is not None:
-            handle.on_click(partial(self._clicked, body.entity))
+        self._listen(body, handle)
         self._bodies[key] = (body, handle)
 
-    def _clicked(self, entity: str, _: object) -> None:
-        if self.objects_clicked is not None:
-            self.objects_clicked(entity)
+    def _listen(self, body: RenderBody, handle: Any) -> None:
+        clicked = self._objects_clicked
+        if body.entity not in (*STATIC, "robot") and clicked is not None:
+            handle.on_click(partial(_forward, clicked, body.entity))
 
     def _show_cameras(self, cameras: tuple[CameraSpec, ...]) -> None:
         wanted = {camera.name: camera for camera in cameras}
@@ -256,3 +261,8 @@ class SceneView:
             label = self._server.scene.add_label(f"{self._root}/compass/{text.replace(' ', '_')}", text)
             label.position = tuple(at)
             self._compass.append(label)
+
+
+def _forward(clicked: Callable[[str], None], entity: str, _: object) -> None:
+    """Call a function with the entity that was clicked; the page's event has no more to tell."""
+    clicked(entity)

@@ -28,7 +28,7 @@ from roboxim_studio.panels.selection import CONDITIONS_HINT, MARKS, OpenEpisode,
 from roboxim_studio.serving.site import Site
 
 ANY = "any"
-WATCH_S = 1.0
+WATCH_S = 2.0
 """Period in which a run's folder is looked at for new episodes."""
 
 

@@ -14,7 +14,7 @@ from roboxim_core.errors import RoboximError
 from roboxim_runs.pace import duration_text, rate_text
 from roboxim_runs.storage.folder import EPISODE_MARK, RUN_FILE, folders_with
 from roboxim_runs.storage.state import RunState, run_state
-from roboxim_studio.episode.unfinished import Growing, Unfinished, newest_picture
+from roboxim_studio.episode.unfinished import Growing, Picture, Unfinished
 from roboxim_studio.panels import markup
 
 LOG_BYTES = 1 << 16
@@ -34,7 +34,7 @@ class Progress:
             run: Folder of a run, or of an evaluation with a run for each policy.
         """
         self._gui, self._run, self._growing = gui, run, Growing()
-        self._images: dict[str, Any] = {}
+        self._images: dict[str, tuple[Any, Picture]] = {}
         self.states: tuple[RunState, ...] = ()
         """State of each run in the folder."""
         self.episodes: tuple[Unfinished, ...] = ()
@@ -78,15 +78,17 @@ class Progress:
         return rows
 
     def _show(self, episodes: Sequence[Unfinished]) -> None:
-        shown = {one.name: picture for one in episodes if (picture := newest_picture(one)) is not None}
+        shown = {one.name: picture for one in episodes if (picture := one.picture()) is not None}
         for name in [name for name in self._images if name not in shown]:
-            self._images.pop(name).remove()
+            self._images.pop(name)[0].remove()
         for name, picture in shown.items():
-            if name in self._images:
-                self._images[name].image = picture
-            else:
+            if name not in self._images:
                 with self.folder:
-                    self._images[name] = self._gui.add_image(picture, label=name, jpeg_quality=80)
+                    self._images[name] = self._gui.add_image(picture, label=name, jpeg_quality=80), picture
+            elif picture is not self._images[name][1]:
+                handle = self._images[name][0]
+                handle.image = picture
+                self._images[name] = handle, picture
         self.folder.visible = bool(shown)
 
 
