@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import pytest
-import yaml
 
 from roboxim_core.config import config_dir
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.modifiers import PALETTE
+from roboxim_core.plain_data.documents import parse_yaml
 
 LIBRARY = ModelLibrary()
 SHAPES = LIBRARY.object_sets["shapes"]
 FOLDER = config_dir() / "objects" / "shapes"
-DATA = {name: yaml.safe_load((FOLDER / f"{name}.yaml").read_text()) for name in SHAPES}
+DATA = {name: parse_yaml((FOLDER / f"{name}.yaml").read_text()) for name in SHAPES}
 
 
 def words(name: str) -> tuple[str, str, str]:

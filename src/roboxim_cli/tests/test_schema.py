@@ -8,19 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from click.testing import CliRunner
 
 from roboxim_cli.main import group
 from roboxim_cli.schema import KINDS, json_schema, page, schema_class
 from roboxim_core.config_folders import config_dir, config_names
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.documents import parse_yaml
 
 FILES = [
     (kind, path)
     for kind, (folder, _) in KINDS.items()
     for path in sorted((config_dir().parent / folder.partition(" ")[0]).glob("*.yaml"))
-    if kind not in ("task", "mix") or ("cells" in yaml.safe_load(path.read_text())) == (kind == "mix")
+    if kind not in ("task", "mix") or ("cells" in parse_yaml(path.read_text())) == (kind == "mix")
 ]
 
 
@@ -66,7 +66,7 @@ def schema_of(kind: str) -> dict[str, Any]:
 @pytest.mark.parametrize(("kind", "path"), FILES, ids=lambda value: value if isinstance(value, str) else value.stem)
 def test_every_file_keeps_to_its_schema(kind, path):
     schema = schema_of(kind)
-    content = yaml.safe_load(path.read_text())
+    content = parse_yaml(path.read_text())
     if kind == "experiment":
         content.pop("scales", None)
     assert misfit(schema, content, schema["$defs"]) == ""

@@ -12,11 +12,10 @@ from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.replay import replay
 from roboxim_studio.acting.drive import Drive, next_index
 from roboxim_studio.acting.lab import Lab
-from roboxim_studio.acting.steering import Speeds, Steering, action_of, moves
+from roboxim_studio.acting.steering import Speeds, Steering, action_of, moves, offset_words
 from roboxim_studio.browser import wait_for
 from roboxim_studio.editing import document as edits
 from roboxim_studio.episode.film import read_film
-from roboxim_studio.panels.drive import offset_words
 
 SEED = SeedPath(run_seed=1, purpose="demo", index=0)
 HERE = Pose(position=(0.5, 0.0, 0.3), quat_xyzw=(1.0, 0.0, 0.0, 0.0))
@@ -109,6 +108,7 @@ def test_a_tap_is_one_tick_and_a_page_that_falls_silent_moves_nothing(studio, tm
     assert commanded == pytest.approx(first._recorder._states[0].robot.pose_tcp_commanded.position[2] + 0.06, abs=1e-4)
     assert "target from the tool: " in panel._lamps.content
     assert "you act; time stops until you move" in panel._lamps.content
+    assert "gripper: 100 % open" in panel._lamps.content
     panel.begin().result(timeout=120)
     assert f"set apart as {tmp_path.name}/set_apart/" in panel._message.content
 
@@ -166,6 +166,9 @@ def test_driving_in_the_page_with_held_keys(studio, chromium, tmp_path):
     chromium.key("Backspace", down=False)
     wait_for(lambda: not list(tmp_path.glob("episodes/*")), "the episode thrown away", 60)
     wait_for(lambda: studio.drive.kept == 0, "the episode not counted any more", 60)
+    chromium.key("KeyN", down=True)
+    chromium.key("KeyN", down=False)
+    wait_for(lambda: studio.drive.drive not in (None, drive), "the next episode", 60)
 
 
 @pytest.mark.slow

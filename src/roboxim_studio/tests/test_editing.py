@@ -1,4 +1,5 @@
 import itertools
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +34,12 @@ def editor(studio, document):
 def test_saved_yaml_gives_the_same_scene_hash_in_generation_and_evaluation(studio, editor, tmp_path):
     studio.editor._folder = tmp_path
     desk = editor.desk
+    release = threading.Event()
+    studio.bench.do(release.wait)
     editor.edit(lambda d: edits.added(d, "apple", LIBRARY, (0.42, 0.2)))
+    editor.save("too_soon")
+    assert "is still being checked" in editor._saved.content
+    release.set()
     editor.edit(lambda d: edits.moved(d, "distractor_1", Pose(position=(0.3512345678, -0.28, 0.0357))))
     editor.edit(lambda d: edits.modified(d, "target", "color", "blue", LIBRARY))
     editor.edit(lambda d: edits.with_instruction(d, "Pick up the blue cube"))
@@ -45,6 +51,8 @@ def test_saved_yaml_gives_the_same_scene_hash_in_generation_and_evaluation(studi
     assert file.parent == tmp_path
     wanted = edits.scene_hash(desk.document)
     assert wanted in editor._saved.content
+    assert "constraint" not in editor._saved.content
+    assert "checked" not in editor._saved.content
     text = file.read_text()
     assert digest(parse_task_config(text).fixed.scene) == wanted
     for purpose in ("demo", "eval"):

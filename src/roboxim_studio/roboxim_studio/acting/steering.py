@@ -20,7 +20,7 @@ KEYS: Mapping[str, tuple[int, float]] = {
 }  # fmt: skip
 """Key to the component of the action that it moves, and the direction."""
 SLOW_KEYS = ("ShiftLeft", "ShiftRight")
-GRIPPER, KEEP, THROW, HAND = "Space", "Enter", "Backspace", "KeyT"
+GRIPPER, KEEP, THROW, HAND, BEGIN = "Space", "Enter", "Backspace", "KeyT", "KeyN"
 AXES: Mapping[int, tuple[int, float]] = {1: (0, -1.0), 0: (1, -1.0), 3: (2, -1.0), 2: (5, -1.0)}
 """Axis of a standard gamepad to the component of the action and the direction: sticks move along x, y, z and turn."""
 ROLL_BUTTONS: Mapping[int, float] = {4: -1.0, 5: 1.0}
@@ -37,7 +37,7 @@ SLOW = 0.25
 MAX_HELD_KEYS = 16
 HELP = (
     "W S: away, back\nA D: left, right\nR F: up, down\nQ E: turn\nI K, J L: tilt\nShift: slowly\n"
-    "Space: open or close\nEnter: end and keep\nBackspace: throw away"
+    "Space: open or close\nEnter: end and keep\nBackspace: throw away\nN: begin the next, when none runs"
 )
 
 
@@ -150,3 +150,18 @@ def _numbers(values: Any) -> tuple[float, ...]:
         min(max(float(value), -1.0), 1.0) if isinstance(value, int | float) and math.isfinite(value) else 0.0
         for value in values[:MAX_HELD_KEYS]
     )
+
+
+def offset_words(base: Pose, tool: tuple[float, ...], aim: tuple[float, ...], name: str) -> str:
+    """Return where an object's middle is from the tool, in the directions of the keys, e.g. ``target: 21 mm away``.
+
+    Args:
+        base: Pose of the robot's base in the world.
+        tool: Position of the tool in the world [m].
+        aim: Position of the object in the world [m].
+        name: The object.
+    """
+    turned = Pose(quat_xyzw=base.quat_xyzw).inverse().apply(np.subtract(aim, tool))
+    words = (("away", "back"), ("left", "right"), ("up", "down"))
+    parts = [f"{abs(v) * 1000:.0f} mm {way[int(v < 0)]}" for v, way in zip(turned, words, strict=True)]
+    return f"{name} from the tool: {', '.join(parts)}"

@@ -55,12 +55,17 @@ class Checks:
         return self.whole and not self.findings and not self.error
 
     @property
+    def unfinished(self) -> bool:
+        """Whether nothing has been found so far, and checks are still to come."""
+        return not (self.whole or self.findings or self.error)
+
+    @property
     def text(self) -> str:
         """The findings, one a line."""
         if self.error:
             return self.error
         lines = [f"{f.constraint}: {f.message}" for f in self.findings]
-        return "\n".join(lines) or ("valid: every constraint of the task holds" if self.whole else "checking ...")
+        return "\n".join(lines) or ("checking ..." if self.unfinished else "valid: every constraint of the task holds")
 
 
 class Desk:

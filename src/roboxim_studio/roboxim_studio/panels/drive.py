@@ -22,6 +22,7 @@ from roboxim_studio.acting.lab import Lab
 from roboxim_studio.acting.partner import Partner
 from roboxim_studio.acting.space_mouse import SpaceMouse
 from roboxim_studio.acting.steering import (
+    BEGIN,
     GRIPPER,
     HAND,
     HELP,
@@ -31,6 +32,7 @@ from roboxim_studio.acting.steering import (
     Steering,
     action_of,
     moves,
+    offset_words,
 )
 from roboxim_studio.acting.what_if import EXPERT
 from roboxim_studio.bench import Bench
@@ -253,6 +255,8 @@ class DrivePanel:
 
     def key(self, code: str) -> None:
         """Handle a key that acts once."""
+        if code == BEGIN and not self._running.is_set():
+            self.begin()
         if self.drive is None:
             return
         with self._lock:
@@ -373,10 +377,10 @@ class DrivePanel:
         self._count(drive, 1)
         kept = f"kept as {drive.bag.name}" if drive.bag is not None else ""
         self._show_message(
-            f"{ending(film)} after {film.result.steps} actions; {kept}\nBackspace or 'Throw away' removes it\n"
-            f"kept so far: {self.kept}, of them solved: {self.solved}"
+            f"{ending(film)} after {film.result.steps} actions; {kept}\nBackspace or 'Throw away' removes it, "
+            f"N begins the next\nkept so far: {self.kept}, of them solved: {self.solved}"
         )
-        self._site.send(hint=f"{ending(film)}; Backspace throws it away")
+        self._site.send(hint=f"{ending(film)}; Backspace throws it away, N begins the next")
 
     def _count(self, drive: Drive, number: int) -> None:
         """Count an episode that was kept, or with -1 one that is thrown away after all."""
@@ -421,6 +425,7 @@ class DrivePanel:
             actor = "you act"
         over = drive is not None and drive.result is not None
         lines = [f"tick {state.seq}   {self._verdict}   {'ended' if over else actor}"]
+        lines.append(f"gripper: {100 * state.robot.gripper_opening:.0f} % open")
         tool = state.robot.pose_tcp_measured.position
         if drive is not None and drive.aim in {entity.name for entity in state.entities}:
             aim = state.entity(drive.aim).pose.position
@@ -436,18 +441,3 @@ class DrivePanel:
 
     def _show_message(self, text: str, *, alert: bool = False) -> None:
         self._message.content = markup.paragraph(text, "drive", alert=alert)
-
-
-def offset_words(base: Pose, tool: tuple[float, ...], aim: tuple[float, ...], name: str) -> str:
-    """Return where an object's middle is from the tool, in the directions of the keys, e.g. ``target: 21 mm away``.
-
-    Args:
-        base: Pose of the robot's base in the world.
-        tool: Position of the tool in the world [m].
-        aim: Position of the object in the world [m].
-        name: The object.
-    """
-    turned = Pose(quat_xyzw=base.quat_xyzw).inverse().apply(np.subtract(aim, tool))
-    words = (("away", "back"), ("left", "right"), ("up", "down"))
-    parts = [f"{abs(v) * 1000:.0f} mm {way[int(v < 0)]}" for v, way in zip(turned, words, strict=True)]
-    return f"{name} from the tool: {', '.join(parts)}"

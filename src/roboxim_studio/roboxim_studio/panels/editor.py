@@ -163,7 +163,11 @@ class EditorPanel:
         except (RoboximError, OSError) as error:
             self._saved.content = markup.paragraph(str(error), "saved", alert=True)
             return None
-        warning = "" if self.desk.checks.valid else "\nnot every constraint holds: generate and evaluate will refuse it"
+        checks, warning = self.desk.checks, ""
+        if checks.of != self.desk.document or checks.unfinished:
+            warning = "\nit is still being checked; the panel will say whether generate and evaluate take it"
+        elif not checks.valid:
+            warning = "\nnot every constraint holds: generate and evaluate will refuse it"
         self._saved.content = markup.paragraph(
             f"saved as {file.name}, scene {edits.scene_hash(self.desk.document)}\n"
             f"roboxim generate --task {file.name}{warning}",
