@@ -1,8 +1,16 @@
 """Fixtures for tests that involve several packages."""
 
+import gc
+
 import pytest
 
 from roboxim_bringup.testing import graph, graph_parameters  # noqa: F401
+
+
+def pytest_collection_finish():
+    """Exempt the modules and the 9,000 collected tests from garbage collection: each one visited all of them."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

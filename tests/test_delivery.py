@@ -234,6 +234,7 @@ def test_a_distractor_of_another_model_or_colour_is_found(rollouts):
     assert faults(models={"values": ["cube"]}, modifiers={"color": {"values": ["black"]}}) == {"distractors"}
 
 
+@pytest.mark.thorough
 def test_a_held_out_light_is_told_from_the_seen_one_by_what_bags_say(tmp_path):
     lights = {"intensity": {"values": [1.0]}, "lamps": {"number": {"values": [1]}}}
     cells = [{"tasks": ["pick_cube"], "key": "usual"}, {"tasks": ["pick_cube"], "key": "dim", "set": {"reset": {

@@ -28,6 +28,7 @@ def run(*words):
     return CliRunner().invoke(group, [str(word) for word in words], standalone_mode=False, catch_exceptions=False)
 
 
+@pytest.mark.thorough
 def test_sampled_tasks_are_drawn_from_all_cameras_with_marks(tmp_path):
     file = tmp_path / "stack.png"
     result = run(

@@ -41,7 +41,8 @@ def config(family, **changes):
     return config_class(family)(**{**SMALL, **changes})
 
 
-@pytest.mark.parametrize("family", [pytest.param("rt1s", marks=pytest.mark.thorough), "act"])
+@pytest.mark.thorough
+@pytest.mark.parametrize("family", ["rt1s", "act"])
 def test_an_interrupted_training_ends_in_the_same_bits_and_its_policy_acts(family, tmp_path):
     settings = config(family, steps=6)
     Trainer(data(6), settings, tmp_path / "whole").run()

@@ -33,6 +33,7 @@ def reworded(demonstrations, old, new):
     return replace(demonstrations, vocabulary=words)
 
 
+@pytest.mark.thorough
 def test_it_begins_with_the_weights_of_the_checkpoint_and_names_it(start, tmp_path):
     trainer = Trainer(data(4), SHORT, tmp_path, start=start)
     assert np.array_equal(trainer._at[0][0], start.arrays[-1])

@@ -75,6 +75,7 @@ def test_the_policy_has_the_weights_with_the_lowest_held_out_loss_also_after_an_
     assert load_checkpoint(tmp_path / "parts").digest == load_checkpoint(tmp_path / "straight").digest
 
 
+@pytest.mark.thorough
 def test_a_training_ends_when_the_held_out_loss_stops_to_fall(reading, tmp_path):
     config = replace(HELD, patience=2)
     training = trainer(reading, config, tmp_path)

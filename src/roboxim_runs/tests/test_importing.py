@@ -120,6 +120,7 @@ def test_what_cannot_be_imported_is_named_and_leaves_nothing(tmp_path):
     assert [guessed_unit(length) for length in (0.2, 12.0, 80.0, 3000.0)] == ["m", "cm", "mm", "mm"]
 
 
+@pytest.mark.thorough
 def test_the_command_imports_what_it_can_and_tells_of_the_rest(tmp_path):
     good = exported(trimesh.creation.cylinder(0.03, 0.05), tmp_path / "tin.stl")
     (tmp_path / "bad.obj").write_text("v 0 0 0\n")

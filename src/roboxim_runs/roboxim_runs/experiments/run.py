@@ -69,7 +69,7 @@ from roboxim_runs.experiments.trained.policies import (
 )
 from roboxim_runs.experiments.trained.servers import require_reachable
 from roboxim_runs.policies.specs import PolicySpec
-from roboxim_runs.storage.folder import checked_path, make_folder
+from roboxim_runs.storage.folder import checked_path, locked, make_folder
 from roboxim_runs.training.commands import Trained, train, train_on
 
 SHARDED = ("generate", "evaluate")
@@ -210,23 +210,30 @@ def run_experiment(
         on_event(Notice(text=sentence))
     with KeptProcesses() as kept:
         run = _Run(config, design, on_event, cancellation, executor, kept, scenes)
-        run.open()
-        stages = [stage for stage in run.stages if run.wanted(stage) and run.ready(stage)]
-        for kind, ones in itertools.groupby(stages, key=lambda stage: stage.kind):  # all trainings follow each other
-            if kind == "train":
-                run.train(tuple(ones), training_executor)
-            else:
-                for stage in ones:
-                    run.finish(stage)
+        make_folder(run.out)
+        with locked(run.out):  # two commands would write one checkpoint in turns
+            return _run_stages(run, training_executor)
+
+
+def _run_stages(run: _Run, training_executor: Executor | None) -> ExperimentResult:
+    """Run the stages that a folder lacks; write the card when all are there."""
+    run.open()
+    stages = [stage for stage in run.stages if run.wanted(stage) and run.ready(stage)]
+    for kind, ones in itertools.groupby(stages, key=lambda stage: stage.kind):  # all trainings follow each other
+        if kind == "train":
+            run.train(tuple(ones), training_executor)
+        else:
+            for stage in ones:
+                run.finish(stage)
     done = run.done
     missing = tuple(stage.name for stage in run.stages if stage.name not in done)
     card = None
-    if not config.shard and not any(name.startswith(("evaluate/", "prove/")) for name in missing):
-        name = Path(config.experiment).stem
+    if not run.config.shard and not any(name.startswith(("evaluate/", "prove/")) for name in missing):
+        name = Path(run.config.experiment).stem
         collect_proofs(run.stages, run.out, state_of(run.out).get(CHANGED, []))
         folder = ExperimentFolder.of(run.out)
         card = collect_card(
-            name, config.scale, design, run.out, trainer=config.trainer, renderer=folder.renderer
+            name, run.config.scale, run.design, run.out, trainer=run.config.trainer, renderer=folder.renderer
         )  # fmt: skip
         write_card(card, run.out)
         write_experiment_report(folder, card)
@@ -278,7 +285,6 @@ class _Run:
 
     def open(self) -> None:
         """Store the experiment, or check that the folder holds the same one."""
-        make_folder(self.out)
         stored = state_of(self.out)
         before = stored.get("stages", {})
         done = {entry.data.get("stage", ""): entry.key for entry in self.log.read()}

@@ -25,7 +25,7 @@ from roboxim_policies.rt1s.config import RT1SConfig
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
 from roboxim_runs.policies.specs import CHECKPOINT, PolicySpec
-from roboxim_runs.storage.folder import checked_path, make_folder
+from roboxim_runs.storage.folder import checked_path, locked, make_folder
 
 TRAINED_ON = "trained_on.json"
 """File in a training's folder that names the export which the trainer read: its identity and cells."""
@@ -108,34 +108,35 @@ def train_policy(
         data, held_out = read.split(settings.held_out, settings.seed)
         del read  # its images are copies
     make_folder(folder)
-    for left in folder.glob(".*.partial"):  # by a killed training, see `whole_files`
-        left.unlink(missing_ok=True)
-    with reporter.stage("encoding pictures") if settings.ENCODER else nullcontext(_ignore_progress) as encoding:
-        trainer = Trainer(data, settings, folder, encoding=encoding, held_out=held_out, start=began_with)
-    name_dataset(Path(dataset), folder)
-    before = trainer.step
+    with locked(folder):  # two trainings would write one checkpoint in turns
+        for left in folder.glob(".*.partial"):  # by a killed training, see `whole_files`
+            left.unlink(missing_ok=True)
+        with reporter.stage("encoding pictures") if settings.ENCODER else nullcontext(_ignore_progress) as encoding:
+            trainer = Trainer(data, settings, folder, encoding=encoding, held_out=held_out, start=began_with)
+        name_dataset(Path(dataset), folder)
+        before = trainer.step
 
-    def unfinished() -> str:
-        return (
-            f"checkpoint after {trainer.step} of {settings.steps} steps: {trainer.path}; the same call or command "
-            "continues from it"
+        def unfinished() -> str:
+            return (
+                f"checkpoint after {trainer.step} of {settings.steps} steps: {trainer.path}; the same call or command "
+                "continues from it"
+            )
+
+        def training(progress: TrainProgress) -> None:
+            report(progress.step, note=f"loss {progress.loss:.3f}, {progress.steps_per_s:.1f} steps/s")
+
+        if not trainer.done:
+            reporter.notice(f"continuing from step {before}" if before else "")
+            with reporter.resumable(unfinished), reporter.stage("training", settings.steps, "steps", before) as report:
+                trainer.run(training, until=until)
+        return TrainingResult(
+            family=settings.FAMILY,
+            checkpoint=trainer.path,
+            steps=trainer.step,
+            steps_now=trainer.step - before,
+            chosen=f"step {trainer.chosen.step}: {trainer.chosen}" if trainer.chosen else "",
+            wall_s=time.monotonic() - started,
         )
-
-    def training(progress: TrainProgress) -> None:
-        report(progress.step, note=f"loss {progress.loss:.3f}, {progress.steps_per_s:.1f} steps/s")
-
-    if not trainer.done:
-        reporter.notice(f"continuing from step {before}" if before else "")
-        with reporter.resumable(unfinished), reporter.stage("training", settings.steps, "steps", before) as report:
-            trainer.run(training, until=until)
-    return TrainingResult(
-        family=settings.FAMILY,
-        checkpoint=trainer.path,
-        steps=trainer.step,
-        steps_now=trainer.step - before,
-        chosen=f"step {trainer.chosen.step}: {trainer.chosen}" if trainer.chosen else "",
-        wall_s=time.monotonic() - started,
-    )
 
 
 def _ignore_progress(done: int, total: int) -> None:

@@ -15,6 +15,7 @@ from roboxim_runs.experiments import card as experiment_card
 from roboxim_runs.experiments import provenance as experiment_provenance
 from roboxim_runs.experiments.run import named_policies, run_experiment
 from roboxim_runs.policies.specs import PolicySpec
+from roboxim_runs.storage.folder import locked
 from roboxim_runs.storage.store import STORED_FILE
 
 
@@ -38,6 +39,14 @@ def test_all_stages_run_once_and_the_card_has_the_planted_result(fakes, config, 
     again = run_experiment(config())
     assert fakes.calls == before, "nothing runs twice"
     assert again.card.sha256 == result.card.sha256
+
+
+def test_two_commands_do_not_write_one_folder(fakes, config, tmp_path):
+    out = config().out
+    out.mkdir()
+    with locked(out), pytest.raises(ConfigError, match="another command is running"):
+        run_experiment(config())
+    assert fakes.calls == []
 
 
 def test_an_interrupted_experiment_continues_and_ends_with_the_same_card(fakes, config, tmp_path):

@@ -141,6 +141,7 @@ def test_an_experiment_has_rates_of_its_own_and_the_trainings_of_all():
     assert unknown.experiment == "area", "the last one that was measured"
 
 
+@pytest.mark.thorough
 def test_a_plan_measures_an_experiment_that_was_never_run_once(monkeypatch):
     store_rates(OWN.learned(TWO))
     probed = []

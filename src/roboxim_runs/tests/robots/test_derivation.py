@@ -75,6 +75,7 @@ def test_the_arm_is_cut_out_named_and_fitted_with_a_hand(made: Path) -> None:
     np.testing.assert_allclose(covered.extents, (0.1, 0.1, 0.1), atol=2e-3)
 
 
+@pytest.mark.thorough
 def test_the_proofs_of_geometry_hold(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(made))
     found = {}

@@ -10,6 +10,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec, TaskSpec
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.learning.checkpoint import load_checkpoint
+from roboxim_runs.storage.folder import locked
 from roboxim_runs.training.pretraining import PretrainConfig, exposure_of, pretrain
 from roboxim_runs.training.run import read_config, train_policy
 
@@ -64,6 +65,9 @@ def test_it_is_packed_continued_and_fine_tuned(tmp_path):
     assert pretrain(config).training.steps_now == 0
     assert result.checkpoint.stat().st_mtime_ns == before
     settings = read_config("", None, {"steps": 2}, start=result.checkpoint)
+    (tmp_path / "tuned").mkdir()
+    with locked(tmp_path / "tuned"), pytest.raises(ConfigError, match="another command is running"):
+        train_policy(tmp_path / "broad" / "rlds", tmp_path / "tuned", settings, start=result.checkpoint)
     tuned = train_policy(tmp_path / "broad" / "rlds", tmp_path / "tuned", settings, start=result.checkpoint)
     assert load_checkpoint(tuned.checkpoint).started_from["pretraining"]["name"] == "broad"
     with pytest.raises(ConfigError, match="is a checkpoint of 'bc', not of 'act': roboxim train bc"):
