@@ -106,6 +106,26 @@ def test_links_lead_to_files_and_headings(file: Path) -> None:
     assert not dead, dead
 
 
+def defined(module: Path) -> set[str]:
+    """Return the names that a module defines, also in its classes, without what it imports."""
+    found = set()
+    for node in ast.walk(ast.parse(module.read_text())):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            found.add(node.name)
+        elif isinstance(node, ast.AnnAssign | ast.Assign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            found |= {target.id for target in targets if isinstance(target, ast.Name)}
+    return found
+
+
+def test_the_architecture_names_the_file_that_defines_a_name() -> None:
+    text = (DOCS / "explanation" / "architecture.md").read_text()
+    found = re.findall(r"`([A-Za-z_.]+)(?:\(\))?` in `(roboxim_\w+)(/[\w/]+\.py)`", text)
+    assert len(found) > 5
+    for name, room, path in found:
+        assert set(name.split(".")) <= defined(ROOT / "src" / room / (room + path)), f"{room}{path} has no {name}"
+
+
 @pytest.mark.parametrize("file", FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_pages_are_short(file: Path) -> None:
     if str(file.relative_to(ROOT)) not in GENERATED:
