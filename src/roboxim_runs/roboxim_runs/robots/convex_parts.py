@@ -55,6 +55,35 @@ def around(points: npt.ArrayLike, directions: int = 100) -> trimesh.Trimesh:
     return hull
 
 
+def coarser(mesh: trimesh.Trimesh, within_m: float) -> trimesh.Trimesh:
+    """Return a polytope of few faces that contains a convex mesh and reaches little beyond it.
+
+    It starts as a box. Of the planes of the mesh's faces, the one that its farthest corner violates most is added until
+    no corner is farther away than ``within_m``.
+
+    Args:
+        mesh: A convex mesh.
+        within_m: How far a corner may lie in front of a face's plane [m]; 0: the mesh itself is returned.
+    """
+    if within_m == 0.0:
+        return mesh
+    points = np.asarray(mesh.vertices, dtype=float)
+    normals = np.unique(np.round(mesh.face_normals[mesh.area_faces > 0.0], 9), axis=0)
+    farthest = (points @ normals.T).max(axis=0)
+    box = np.concatenate([np.eye(3), -np.eye(3)])
+    planes = HalfspaceIntersection(
+        np.column_stack([box, -(points @ box.T).max(axis=0)]), points.mean(axis=0), incremental=True
+    )
+    for _ in normals:
+        beyond = planes.intersections @ normals.T - farthest
+        corner, face = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        if beyond[corner, face] <= within_m:
+            break
+        planes.add_halfspaces(np.append(normals[face], -farthest[face])[None])
+    hull: trimesh.Trimesh = trimesh.convex.convex_hull(np.unique(np.round(planes.intersections, 9), axis=0))
+    return hull if len(hull.faces) < len(mesh.faces) else mesh
+
+
 def _best_cut(triangles: Array) -> tuple[float, list[Array]]:
     """Return the decrease of the hulls' volume by the best cut, and the two halves."""
     whole = _volume(triangles)

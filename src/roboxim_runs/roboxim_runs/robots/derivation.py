@@ -97,7 +97,7 @@ def derive(
             values["home"] = [round(float(q), 4) for q in arm.home(scratch)]
             file.write_text(_yaml(recipe, values))
         for kept in target.glob("*") if target.is_dir() else ():
-            if kept.name in ("LICENSE", "README.md", "recipe.yaml", "derive.py"):
+            if kept.name in ("LICENSE", "LICENSE.arm", "README.md", "recipe.yaml", "derive.py"):
                 shutil.copy(kept, inside / kept.name)
         shutil.rmtree(target, ignore_errors=True)
         inside.rename(target)
@@ -227,7 +227,7 @@ class Arm:
         """Return the visual and collision elements of a link; write its meshes."""
         recipe = self.recipe
         meshes = LinkMeshes(
-            recipe.name, folder, self.path, self._materials, triangles=recipe.triangles, max_faces=recipe.max_faces
+            recipe.name, folder, self.path, self._materials, triangles=recipe.triangles, collision_m=recipe.collision_m
         )
         return meshes.visual(link) + meshes.collision(link)
 
@@ -349,7 +349,7 @@ class ShippedArm(Arm):
         return same_place(self.model, self.recipe.name, folder)
 
     def _shapes(self, link: Element, folder: Path) -> list[Element]:
-        meshes = LinkMeshes(self.recipe.name, folder, self.path, {}, triangles=0)
+        meshes = LinkMeshes(self.recipe.name, folder, self.path, {}, triangles=0, collision_m=0.0)
         parts = [part for pair in self.model.close_pairs if pair.other == link.get("name") for part in pair.parts]
         made = []
         for shape in [*link.findall("visual"), *link.findall("collision")]:

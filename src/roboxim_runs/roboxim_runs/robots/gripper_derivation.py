@@ -28,14 +28,14 @@ from roboxim_runs.robots.reading import expanded
 from roboxim_runs.robots.recipe import source_file
 
 Element = ElementTree.Element
-MAX_FACES = 500
-"""Faces of a link's convex hull; the hand of a detailed model has thousands."""
 HAND, TCP = "hand", "hand_tcp"
 """Names of a gripper's root link and of its tool centre point."""
 ROWS = 9
 """Rows of the opening map."""
 TIP_BEYOND_TCP_M = 0.0095
 """How far closed finger tips reach beyond the tool centre point, as the Franka hand's do: skills count on it [m]."""
+TIP_M = 0.0002
+"""How far a finger tip's collision shape may reach beyond its convex hull [m]: it is the surface that holds."""
 LIGHT_KG, LIGHT_KG_M2 = 0.03, 2e-4
 """Least mass and moment of inertia of a link that moves with a finger. The physics engine does not hold lighter ones
 against each other under 20 N; a geared motor adds as much to its joint."""
@@ -67,6 +67,8 @@ class GripperRecipe:
     """Triangles of a link's visual mesh."""
     weld_m: float = 0.0005
     """Detail of visual meshes that is dropped [m]."""
+    collision_m: float = 0.001
+    """How far a link's collision shape may reach beyond its convex hull [m]; that of a finger tip by `TIP_M`."""
 
 
 def derive_gripper(
@@ -115,10 +117,10 @@ def derive_gripper(
             triangles=recipe.triangles,
             weld_m=recipe.weld_m,
             max_parts=1,
-            max_faces=MAX_FACES,
+            collision_m=recipe.collision_m,
         )
         made = ElementTree.Element("robot", {"name": recipe.name})
-        made.extend(_link(link, meshes) for link in links.values())
+        made.extend(_link(link, meshes, recipe.tips) for link in links.values())
         made.extend(_joint(joint) for joint in joints.values())
         urdf = inside / f"{recipe.name}.urdf"
         _write(made, urdf)
@@ -174,10 +176,10 @@ def plain(tool: GripperModel) -> dict[str, Any]:
     }
 
 
-def _link(link: Element, meshes: LinkMeshes) -> Element:
+def _link(link: Element, meshes: LinkMeshes, tips: tuple[str, str]) -> Element:
     name = str(link.get("name"))
     made = ElementTree.Element("link", {"name": name})
-    made.extend(meshes.visual(link) + meshes.collision(link))
+    made.extend(meshes.visual(link) + meshes.collision(link, TIP_M if name in tips else None))
     inertial = link.find("inertial")
     if inertial is None:
         inertial = ElementTree.Element("inertial")

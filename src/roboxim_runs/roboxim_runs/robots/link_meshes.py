@@ -10,7 +10,7 @@ import trimesh
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.urdf import mesh_path
-from roboxim_runs.robots.convex_parts import around, convex_parts
+from roboxim_runs.robots.convex_parts import coarser, convex_parts
 from roboxim_runs.robots.decimation import Color, visual
 
 Element = ElementTree.Element
@@ -28,7 +28,7 @@ class LinkMeshes:
 
     def __init__(
         self, package: str, folder: Path, source: Path, materials: dict[str, Element], *, triangles: int,
-        weld_m: float = WELD_M, max_parts: int = MAX_PARTS, max_faces: int = 0,
+        collision_m: float, weld_m: float = WELD_M, max_parts: int = MAX_PARTS,
     ) -> None:  # fmt: skip
         """Set where meshes come from and go to.
 
@@ -38,13 +38,13 @@ class LinkMeshes:
             source: The URDF that links come from.
             materials: Its materials by name.
             triangles: Triangles of a link's visual mesh.
+            collision_m: How far a convex part of a collision shape may reach beyond its hull [m].
             weld_m: Detail of visual meshes that is dropped [m].
             max_parts: Convex parts of a collision shape.
-            max_faces: A convex part with more faces becomes a coarser one that contains it; 0: none does.
         """
         self.package, self.folder, self._source, self._materials = package, folder, source, materials
         self._triangles, self._weld_m, self._max_parts = triangles, weld_m, max_parts
-        self._max_faces = max_faces
+        self._collision_m = collision_m
 
     def visual(self, link: Element) -> list[Element]:
         """Return the visual element of a link; none: it has no shape."""
@@ -58,17 +58,20 @@ class LinkMeshes:
         (self.folder / file).write_bytes(scene.export(file_type="glb", include_normals=True))
         return [self.element("visual", file)]
 
-    def collision(self, link: Element) -> list[Element]:
-        """Return the collision elements of a link: convex parts."""
+    def collision(self, link: Element, beyond_m: float | None = None) -> list[Element]:
+        """Return the collision elements of a link: convex parts.
+
+        Args:
+            link: The link.
+            beyond_m: How far a part may reach beyond its hull [m]; none: as all links' do.
+        """
         made = []
         for k, shape in enumerate(link.findall("collision")):
             meshes = [mesh for _, mesh in coloured(shape, self._source, self._materials)]
             solid = trimesh.Trimesh(*trimesh.util.append_faces([m.vertices for m in meshes], [m.faces for m in meshes]))
             for i, part in enumerate(convex_parts(solid, min_gain=MIN_GAIN, max_parts=self._max_parts)):
-                if 0 < self._max_faces < len(part.faces):
-                    part = around(part.vertices)  # noqa: PLW2901
                 file = f"collision/{link.get('name')}_{k + 1}_{i + 1}.stl"
-                part.export(self.folder / file)
+                coarser(part, self._collision_m if beyond_m is None else beyond_m).export(self.folder / file)
                 made.append(self.element("collision", file))
         return made
 

@@ -48,9 +48,9 @@ class RobotRecipe:
     """Largest range of a joint [rad]; wider and continuous joints are cut to it, so that no search winds the arm up."""
     home: tuple[float, ...] = ()
     """Joint positions at home [rad]; empty: searched for, with the tool above the table's middle."""
-    max_faces: int = 0
-    """Faces of a convex collision part from which it becomes a coarser one that contains it, with about 400 faces: an
-    arm of many faces takes long to load; 0: none does."""
+    collision_m: float = 0.002
+    """How far a convex collision part may reach beyond the mesh's hull [m]. A coarser part has fewer faces and loads
+    faster; 0: the hull itself."""
     triangles: int = 1200
     """Triangles of a link's visual mesh. The renderer draws a coarse shape of a link with more faces than pixels."""
 
@@ -61,6 +61,8 @@ class RobotRecipe:
                 "expected either urdf, a file to derive an arm from, or arm, a robot of config/robots that gets "
                 f"another gripper; got {'both' if self.urdf else 'neither'}"
             )
+        if self.collision_m < 0.0:
+            raise ConfigError(f"collision_m must be at least 0, got {self.collision_m}")
         if self.arm:
             taken = ("base", "base_xyz", "flange", "velocity", "acceleration", "jerk")
             if given := [name for name in taken if _states(getattr(self, name))]:

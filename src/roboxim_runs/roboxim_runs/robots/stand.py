@@ -54,7 +54,7 @@ def stand(recipe: RobotRecipe, folder: Path, base: str) -> list[Element]:
             if tag == "visual":
                 material = ElementTree.SubElement(shape, "material", {"name": ""})
                 ElementTree.SubElement(material, "color", {"rgba": COLOR})
-        meshes = LinkMeshes(recipe.name, folder, folder, {}, triangles=recipe.triangles)
+        meshes = LinkMeshes(recipe.name, folder, folder, {}, triangles=recipe.triangles, collision_m=recipe.collision_m)
         shapes = meshes.visual(link) + meshes.collision(link)
         for element in list(link):
             link.remove(element)
