@@ -66,6 +66,7 @@ ARM = RobotRecipe(
     gripper="widowx_ai_gripper",
     velocity=(3.14,),  # as the controller of the wheel states
     acceleration=(10.0,),  # Trossen publishes none
+    collision_m=0.0005,  # a small arm
 )
 
 Element = ElementTree.Element

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -19,7 +20,7 @@ def expanded(path: Path) -> Element:
     Raises:
         ConfigError: When it cannot be read, or is a xacro and `xacrodoc` is not installed.
     """
-    if b"<xacro:" not in path.read_bytes():
+    if b"<xacro:" not in re.sub(rb"<!--.*?-->", b"", path.read_bytes(), flags=re.S):  # xacro itself leaves comments
         root = urdf_root(path)
         return urdf_of(root, path) if is_mjcf(root) else root
     try:

@@ -16,6 +16,7 @@ from roboxim_runs.robots.check import prove
 from roboxim_runs.robots.collision_pairs import srdf_text
 from roboxim_runs.robots.derivation import derive
 from roboxim_runs.robots.grippers import gripper
+from roboxim_runs.robots.reading import expanded
 from roboxim_runs.robots.recipe import RobotRecipe
 
 JOINTS = (("0 0 0.15", "0 0 1"), ("0 0 0.15", "0 1 0"), ("0 0 0.35", "0 1 0"),
@@ -146,3 +147,8 @@ def test_a_small_arm_stands_on_a_pillar_where_it_reaches(
 @pytest.mark.parametrize("robot", ModelLibrary().robot_ids)
 def test_every_shipped_arm_is_proven(robot: str) -> None:
     assert [proof for proof in prove(robot) if not proof.holds] == []
+
+
+def test_a_urdf_with_a_comment_of_xacro_is_read(tmp_path: Path) -> None:
+    (tmp_path / "made.urdf").write_text('<robot name="made"><!-- <xacro:left_out/> \n --><link name="base"/></robot>')
+    assert expanded(tmp_path / "made.urdf").get("name") == "made"
