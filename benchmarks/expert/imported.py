@@ -76,7 +76,7 @@ def row(mesh: Path, out: Path, resets: int, gripper: str, robot: str) -> dict[st
 
     found: dict[str, Any] = {"mesh": f"{mesh.parent.name}/{mesh.name}", "imported": 0, "grasps": 0, "picked_up": 0}
     try:
-        made = import_mesh(mesh, out / "objects", ImportOptions(gripper=gripper))
+        made = import_mesh(_renamed(mesh, out / "meshes"), out / "objects", ImportOptions(gripper=gripper))
     except RoboximError as error:
         return found | {"resets": 0, "why": str(error)[:120]}
     model = yaml.safe_load(made.file.read_text())
@@ -87,6 +87,17 @@ def row(mesh: Path, out: Path, resets: int, gripper: str, robot: str) -> dict[st
     reasons = picks(made.file.stem, resets, robot)
     failures = [reason for reason in reasons if reason]
     return found | {"picked_up": resets - len(failures), "why": "; ".join(sorted(set(failures)))[:120]}
+
+
+def _renamed(mesh: Path, folder: Path) -> Path:
+    """Return a link to a mesh under a name that hides no object of RoboXim's, with its neighbours beside it."""
+    inside = folder / mesh.parent.name
+    inside.mkdir(parents=True, exist_ok=True)
+    for file in mesh.parent.iterdir():
+        link = inside / (f"mesh_{file.name}" if file == mesh else file.name)
+        if not link.is_symlink():
+            link.symlink_to(file.resolve())
+    return inside / f"mesh_{mesh.name}"
 
 
 def picks(object_id: str, resets: int, robot: str) -> list[str]:
