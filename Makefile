@@ -117,6 +117,7 @@ robot-visuals: setup ## rebuild the robots' URDFs, SRDFs and meshes from the whe
 	$(BIN)/python config/robots/ur5/derive.py
 	for recipe in config/grippers/*/recipe.yaml; do $(BIN)/roboxim robot gripper $$recipe --out config || exit 1; done
 	$(BIN)/python config/robots/widowx_ai/derive.py
+	$(BIN)/python config/robots/so101/derive.py
 	for recipe in config/robots/*/recipe.yaml; do $(BIN)/roboxim robot new $$recipe --out config || exit 1; done
 
 release: setup ## build the distributions into dist/, install and run them in empty environments; ARGS="--python 3.12"

@@ -48,7 +48,15 @@ def test_a_map_that_is_none_is_refused(changes: dict[str, Any], said: str) -> No
         GripperModel(**TURNING | changes)
 
 
-@pytest.mark.parametrize("robot_id", LIBRARY.robot_ids)
+def test_one_jaw_needs_a_map() -> None:
+    with pytest.raises(ConfigError, match="one moving jaw needs an opening_map"):
+        GripperModel(joint_names=("jaw",), max_opening_m=0.08, force_n=20.0, speed_m_s=0.1)
+    tool = LIBRARY.robot("so101").gripper
+    assert tool.one_jaw
+    assert [tool.opening([tool.driven(share)]) for share in (0.1, 0.5, 1.0)] == pytest.approx([0.1, 0.5, 1.0])
+
+
+@pytest.mark.parametrize("robot_id", [i for i in LIBRARY.robot_ids if not LIBRARY.robot(i).gripper.one_jaw])
 def test_finger_tips_part_by_the_opening_and_stay_parallel(robot_id: str) -> None:
     robot = LIBRARY.robot(robot_id)
     tool, kinematics = robot.gripper, ArmKinematics(robot)

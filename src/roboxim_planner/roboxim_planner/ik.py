@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, PlannerError
+from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Pose
 from roboxim_planner import native
 from roboxim_planner.robot import PlannerRobot, pose_matrix
@@ -91,7 +92,7 @@ class IkSolver:
         if not len(found):
             found, off, turned = self._run(target, reference, seed=seed + 1, starts=4 * starts, enough=enough, longer=4)
         if not len(found):
-            raise _unreachable(target, off, turned)
+            raise _unreachable(target, off, turned, self.robot.description)
         return found
 
     def _run(
@@ -113,10 +114,16 @@ class IkSolver:
         return native.distinct(found, reference, self.config.same_rad)
 
 
-def _unreachable(target: Pose, off: float, turned: float) -> PlannerError:
+def _unreachable(target: Pose, off: float, turned: float, robot: RobotModel) -> PlannerError:
     position, quat = (np.round(part, 4).tolist() for part in (target.position, target.quat_xyzw))
+    few = (
+        f" (its {len(robot.joint_names)} joints turn the tool in {robot.rotations} directions, so ask for a tool that "
+        "points down, or one that leans within the plane of the arm)"
+        if robot.rotations < 3
+        else ""
+    )
     return PlannerError(
         f"goal unreachable: the TCP came within {1000.0 * off:.1f} mm and {turned:.3f} rad of position "
-        f"{position}, quaternion {quat} in the robot's base; move or turn the goal",
+        f"{position}, quaternion {quat} in the robot's base; move or turn the goal{few}",
         ErrorCode.GOAL_UNREACHABLE,
     )

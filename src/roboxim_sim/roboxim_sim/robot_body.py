@@ -86,7 +86,8 @@ class RobotBody:
         for link in gripper.links[1:]:
             if number_of[link] not in self.fingers:
                 self._make_soft(number_of[link])
-        self._couple_fingers()
+        if not gripper.one_jaw:
+            self._couple_fingers()
         self._turn_of_contacts = self._finger_rotation()
         self._next_finger = 0
         self._gains = [model.position_gain] * len(self.arm)
@@ -153,7 +154,7 @@ class RobotBody:
         return [s[0] for s in states], [s[1] for s in states], [s[3] for s in states]
 
     def _finger_rotation(self) -> tuple[float, ...]:
-        """Return a finger tip's rotation in the world as a quaternion: the hand's, since finger tips stay parallel."""
+        """Return a finger tip's rotation in the world as a quaternion: the hand's, since tips are parallel or fixed."""
         rotation: tuple[float, ...] = self._client.getLinkState(self.id, self._tips[0])[1]
         return rotation
 

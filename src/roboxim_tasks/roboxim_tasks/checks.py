@@ -19,6 +19,7 @@ from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.modifiers import PHYSICAL, ModifierModel
 from roboxim_core.specs import Scalar
+from roboxim_tasks.arms import check_grasped, check_skills
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.roles import SPOKEN, Role
@@ -99,6 +100,20 @@ def check_scene(document: Document, config: TaskConfig) -> None:
             raise ConfigError(f"unknown robot '{config.robot}'; {one_of(library.robot_ids, config.robot)}")
     with document.section(("rate_hz",)):
         replace(scene, control_rate_hz=config.rate_hz)
+
+
+def check_arm(document: Document, config: TaskConfig, library: ModelLibrary) -> None:
+    """Check that the arm can perform the skill and grasp what may be drawn.
+
+    Raises:
+        ConfigError: Saying what the arm lacks, and what it can do.
+    """
+    robot = library.robot(config.base_scene().robot.model)
+    with document.section(("robot",)):
+        check_skills(config, robot)
+    for name, role in skill_of(config).roles.items():
+        with document.section(("objects", name)):
+            check_grasped(role, config.objects[name], robot, library)
 
 
 def check_objects(document: Document, config: TaskConfig, library: ModelLibrary) -> None:

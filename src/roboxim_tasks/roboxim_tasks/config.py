@@ -27,6 +27,7 @@ from roboxim_tasks.checks import (
     Document,
     Path,
     check_arguments,
+    check_arm,
     check_exclusions,
     check_objects,
     check_reset,
@@ -97,6 +98,7 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
         templates=_templates(document, config, skill),
         max_steps=config.max_steps or max(0, ticks(skill.max_steps / DEFAULT_RATE_HZ, config.rate_hz)),
     )
+    check_arm(document, complete, library)
     check_arguments(document, complete, library)
     check_exclusions(document, complete, library)
     check_reset(document, complete)

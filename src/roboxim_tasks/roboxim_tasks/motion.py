@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from roboxim_core.models.description import ObjectModel, RobotModel
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.poses import Pose, distance
+from roboxim_core.poses import IDENTITY, Pose, distance
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import EntityState, StateRecord
 
@@ -110,6 +110,10 @@ def fingers_touch(scene: ExpertScene, entity: str) -> tuple[tuple[str, str], ...
 
 
 RELEASE_CLEARANCE_M = 0.03
+DOWN = -0.99995
+"""Largest z of the tool's axis with which it points down: within 0.01 rad."""
+JAW_CLEARANCE_M = 0.004
+"""Gap between the fixed jaw and an object before a gripper with one moving jaw closes [m]."""
 
 
 def grasps_of(scene: ExpertScene, entity: str, name: str = "") -> list[Grasp]:
@@ -120,51 +124,54 @@ def grasps_of(scene: ExpertScene, entity: str, name: str = "") -> list[Grasp]:
         entity: The entity.
         name: Name of the annotation to use; empty: all.
     """
-    model, pose_object = scene.model_of(entity), scene.pose_of(entity)
-    widest = scene.robot.gripper.max_opening_m
+    model, pose_object, robot = scene.model_of(entity), scene.pose_of(entity), scene.robot
+    widest, one_jaw = robot.gripper.max_opening_m, robot.gripper.one_jaw
     found = []
     for annotation in model.grasps:
         if name and annotation.name != name:
             continue
         only = replace(model, grasps=(annotation,))
+        release = min(1.0, (annotation.width_m + RELEASE_CLEARANCE_M) / widest)
+        # a jaw that turns sweeps the room beside the object, so it opens no farther than it has to
+        opening = release if one_jaw else min(1.0, annotation.opening_m / widest)
         found += [
-            Grasp(
-                pose=pose,
-                opening=min(1.0, annotation.opening_m / widest),
-                release_opening=min(1.0, (annotation.width_m + RELEASE_CLEARANCE_M) / widest),
-                name=annotation.name,
-            )
-            for pose in grasp_poses(only, pose_object, scene.pose_tcp)
+            Grasp(pose=pose, opening=opening, release_opening=release, name=annotation.name)
+            for pose in grasp_poses(only, pose_object, scene.pose_tcp, one_jaw=one_jaw)
+            if robot.rotations == 3 or points_down(pose)
         ]
     return found
 
 
-def grasp_poses(model: ObjectModel, pose_object: Pose, pose_tcp: Pose) -> list[Pose]:
+def grasp_poses(model: ObjectModel, pose_object: Pose, pose_tcp: Pose, *, one_jaw: bool = False) -> list[Pose]:
     """Return all poses of the tool centre point that grasp an object, nearest first.
 
     A grasp repeats with its own symmetry about the object's vertical axis, and with the gripper turned by 180 degrees.
+    A gripper with one moving jaw puts the fixed one beside the object.
 
     Args:
         model: The object.
         pose_object: Its pose.
         pose_tcp: Present pose of the tool centre point in the same frame; grasps are ordered by the rotation from it.
+        one_jaw: Whether the gripper has one moving jaw, see `GripperModel.joint_names`.
     """
-    found = [pose_object @ pose for pose in _symmetric_grasps(model)]
+    found = [pose_object @ pose for pose in _symmetric_grasps(model, one_jaw)]
     return sorted(found, key=lambda pose: (round(distance(pose_tcp, pose)[1], 3), pose.position))
 
 
 @lru_cache(maxsize=64)
-def _symmetric_grasps(model: ObjectModel) -> tuple[Pose, ...]:
+def _symmetric_grasps(model: ObjectModel, one_jaw: bool) -> tuple[Pose, ...]:
     from scipy.spatial.transform import Rotation
 
     found: list[Pose] = []
     for grasp in model.grasps:
         seen: list[Pose] = []
         count = round(2 * math.pi / grasp.yaw_symmetry_rad) if grasp.yaw_symmetry_rad else 1
+        beside = Pose(position=(0.0, -grasp.width_m / 2 - JAW_CLEARANCE_M, 0.0)) if one_jaw else IDENTITY
         for turn in range(count):
             about_z = Pose.from_arrays((0, 0, 0), Rotation.from_euler("z", turn * 2 * math.pi / count))
             for flip in (0.0, math.pi):
                 pose = about_z @ grasp.pose @ Pose.from_arrays((0, 0, 0), Rotation.from_euler("z", flip))
+                pose = pose @ beside if one_jaw else pose
                 if all(distance(pose, other)[1] > 1e-3 or distance(pose, other)[0] > 1e-4 for other in seen):
                     seen.append(pose)
         found += seen
@@ -175,6 +182,11 @@ def shifted(pose: Pose, z_m: float) -> Pose:
     """Return a pose moved up in its parent frame [m]."""
     x, y, z = pose.position
     return Pose(position=(x, y, z + z_m), quat_xyzw=pose.quat_xyzw)
+
+
+def points_down(pose: Pose) -> bool:
+    """Return whether a tool pose points down in its parent frame."""
+    return float(pose.rotation.apply([0.0, 0.0, 1.0])[2]) <= DOWN
 
 
 def retreated(pose: Pose, distance_m: float) -> Pose:

@@ -28,20 +28,20 @@ YAWS = (0.0, math.pi / 4, -math.pi / 4, math.pi / 2)
 
 def graspable(context: ResetContext, role: str, lift_m: float = LIFT_M) -> Constraint:
     """Return the constraint that the arm can execute a grasp of a role's object, from approach to lift."""
-    entity = context.task.objects[role].entity
+    entity, one_jaw = context.task.objects[role].entity, context.arm.model.gripper.one_jaw
 
     def holds(scene: SceneSpec) -> bool:
         spec = scene.entity(entity)
         home = context.arm.fk(context.arm.model.home)
         pose_object = scene.robot.pose.inverse() @ spec.pose
-        grasps = grasp_poses(context.library.entity_model(spec), pose_object, home)
+        grasps = grasp_poses(context.library.entity_model(spec), pose_object, home, one_jaw=one_jaw)
         return any(reaches(context, retreated(g, APPROACH_M), g, shifted(g, lift_m)) for g in grasps)
 
     def why(scene: SceneSpec) -> str:
         spec = scene.entity(entity)
         home = context.arm.fk(context.arm.model.home)
         pose_object = scene.robot.pose.inverse() @ spec.pose
-        grasps = grasp_poses(context.library.entity_model(spec), pose_object, home)
+        grasps = grasp_poses(context.library.entity_model(spec), pose_object, home, one_jaw=one_jaw)
         missing = [
             max(context.arm.ik_near(p, context.arm.model.home).position_error_m for p in (g, shifted(g, lift_m)))
             for g in grasps

@@ -28,6 +28,7 @@ from roboxim_core.poses import Pose, Vec3
 from roboxim_tasks.motion import (
     ANYTHING,
     GRIPPER,
+    JAW_CLEARANCE_M,
     RELEASE_CLEARANCE_M,
     TABLE,
     ExpertScene,
@@ -127,7 +128,7 @@ class Script:
     def grip(self, opening: float, *, name: str) -> None:
         """Move the fingers and wait for them."""
         gripper, change = self.scene.robot.gripper, abs(opening - self.opening)
-        way_s = change * gripper.max_opening_m / 2 / gripper.speed_m_s if gripper.keeps_speed else 0.0
+        way_s = change * gripper.travel_m / gripper.speed_m_s if gripper.keeps_speed else 0.0
         self.opening = opening
         self._add(Stage(name=name, duration_s=GRIP_S + way_s))
 
@@ -185,7 +186,11 @@ class Script:
         entity, self.held, self.held_in_tcp = self.held, "", Pose()
         self.set_entity(entity, pose=pose_object)
         self.grip(self.release_opening, name="release")
-        self.move(retreated(self.pose, retreat_m), name="retreat", touching=fingers_touch(self.scene, entity))
+        touching = fingers_touch(self.scene, entity)
+        if self.scene.robot.gripper.one_jaw:  # the fixed jaw would drag it along
+            aside = self.pose @ Pose(position=(0.0, -JAW_CLEARANCE_M, 0.0))
+            self.move(aside, name="part", speed=SLOW, touching=touching)
+        self.move(retreated(self.pose, retreat_m), name="retreat", touching=touching)
 
     def _height_over(self, goal: Pose) -> float:
         """Return the height at which the held object passes over everything on the line to a goal [m]."""

@@ -6,6 +6,7 @@ They are local and deterministic on purpose; the planner searches for solutions 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ import numpy.typing as npt
 
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
 from roboxim_core.models.description import RobotModel
-from roboxim_core.poses import Array, Pose
+from roboxim_core.poses import Array, Pose, distance
 from roboxim_planner_native import Arm
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 POSITION_TOLERANCE_M = 1e-7
 ROTATION_TOLERANCE_RAD = 1e-6
 MAX_ITERATIONS = 30
+POSITION_FIRST = 16
+"""Descents in which an arm whose tool turns in fewer than three directions gives up rotation for position."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,6 +37,8 @@ class IkResult:
     """Arm joint positions [rad]."""
     converged: bool
     """Whether the pose is reached within 0.1 um and 1 urad."""
+    placed: bool
+    """Whether the position is reached within 0.1 um."""
     position_error_m: float
     """Distance of the tool centre point from the target [m]."""
     rotation_error_rad: float
@@ -156,6 +161,9 @@ class ArmKinematics:
     ) -> IkResult:
         """Follow a target pose from a nearby configuration: damped least squares inside the joint limits.
 
+        An arm whose tool turns in fewer than three directions (`RobotModel.rotations`) reaches the position first, and
+        as much of the rotation as it can there.
+
         Args:
             target: Pose of the tool centre point in the base.
             seed: Arm joint positions to start at, shape (n,) [rad].
@@ -172,24 +180,53 @@ class ArmKinematics:
             np.empty(0) if posture is None else posture_gain * (np.asarray(posture, dtype=float) - start)[self._order]
         )
         largest = np.empty(0) if max_step is None else np.asarray(max_step, dtype=float)[self._order]
+        joints, position_error_m, rotation_error_rad = self._follow(target, start[self._order], pull, largest)
+        if self.model.rotations < 3 and rotation_error_rad >= ROTATION_TOLERANCE_RAD:
+            joints, position_error_m = self._place_first(target, joints, start[self._order], largest)
+            rotation_error_rad = distance(self.fk(self._ordered(joints)), target)[1]
+        return IkResult(
+            joints=self._ordered(joints),
+            converged=position_error_m < POSITION_TOLERANCE_M and rotation_error_rad < ROTATION_TOLERANCE_RAD,
+            placed=position_error_m < POSITION_TOLERANCE_M,
+            position_error_m=position_error_m,
+            rotation_error_rad=rotation_error_rad,
+        )
+
+    def _follow(self, target: Pose, start: Array, pull: Array, largest: Array) -> tuple[Array, float, float]:
+        """Return joints and errors of one descent; all joints are in the kernel's order."""
         joints, position_error_m, rotation_error_rad = self._native.follow(
             target.position,
             target.quat_xyzw,
-            start[self._order].tolist(),
+            start.tolist(),
             pull=pull.tolist(),
             largest_change=largest.tolist(),
             iterations=MAX_ITERATIONS,
             position_tolerance=POSITION_TOLERANCE_M,
             rotation_tolerance=ROTATION_TOLERANCE_RAD,
         )
+        return np.asarray(joints), position_error_m, rotation_error_rad
+
+    def _place_first(self, target: Pose, joints: Array, start: Array, largest: Array) -> tuple[Array, float]:
+        """Give up the rotation that a compromise has not reached, until the position is.
+
+        A descent divides the error of a pose out of reach between position and rotation. The next one asks for the
+        rotation that it did reach, so that what is left of the error is a fraction of that before.
+        """
+        left, error_m = np.empty(0), math.inf
+        for _ in range(POSITION_FIRST):
+            if largest.size:
+                left = np.maximum(largest - np.abs(joints - start), 0.0)
+            reached = Pose(position=target.position, quat_xyzw=self.fk(self._ordered(joints)).quat_xyzw)
+            joints, error_m, _ = self._follow(reached, joints, np.empty(0), left)
+            if error_m < POSITION_TOLERANCE_M:
+                break
+        return joints, error_m
+
+    def _ordered(self, joints: Array) -> Array:
+        """Return joints of the kernel in the model's order."""
         found = np.empty(len(joints))
         found[self._order] = joints
-        return IkResult(
-            joints=found,
-            converged=position_error_m < POSITION_TOLERANCE_M and rotation_error_rad < ROTATION_TOLERANCE_RAD,
-            position_error_m=position_error_m,
-            rotation_error_rad=rotation_error_rad,
-        )
+        return found
 
     def _places(self, names: Sequence[str]) -> npt.NDArray[np.int64]:
         """Return the indices of joints in Pinocchio's configurations."""

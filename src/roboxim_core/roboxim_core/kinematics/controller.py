@@ -41,7 +41,8 @@ class ControlStep:
     left_workspace: bool
     """Whether the tool centre point would have left the workspace and was kept at its border."""
     unreached: bool
-    """Whether the arm cannot reach the pose in this tick; the commanded pose is then the one that it does reach."""
+    """Whether the arm cannot reach the pose in this tick; the commanded pose is then the one that it does reach. With
+    fewer than three rotations: whether it cannot reach the position."""
 
 
 class Controller(ABC):

@@ -30,6 +30,9 @@ class DeltaController(Controller):
 
     Bit-deterministic; not thread-safe (see `ArmKinematics`).
 
+    An arm whose tool turns in fewer than three directions goes to the commanded position and turns as far as it can
+    there; the commanded pose is then that one.
+
     Note: a commanded pose that starts outside the workspace is not moved inside; it only cannot move farther out.
     """
 
@@ -69,8 +72,9 @@ class DeltaController(Controller):
         if left or x or y or z or any(angles):
             pose = Pose(position=position, quat_xyzw=quat_product(quat_from_euler(*angles), state.pose.quat_xyzw))
             result = self.arm.ik_near(pose, state.joints, posture=self.arm.model.home, max_step=self._max_joint_step)
-            joints, unreached = tuple(result.joints.tolist()), not result.converged
-            if unreached:
+            joints = tuple(result.joints.tolist())
+            unreached = not (result.converged if self.arm.model.rotations == 3 else result.placed)
+            if not result.converged:
                 pose = self.arm.fk(result.joints)
         return ControlStep(
             state=ControllerState(pose=pose, joints=joints, gripper=gripper),

@@ -251,10 +251,11 @@ class FollowerJoint:
 
 @dataclass(frozen=True, kw_only=True)
 class GripperModel:
-    """A gripper with two fingers that move alike, and one opening."""
+    """A gripper with two fingers that move alike, or one jaw that moves against a fixed one, and one opening."""
 
     joint_names: tuple[str, ...]
-    """The driven joint of each finger; both have the same position."""
+    """The driven joint of each finger; both have the same position. One joint: a jaw that moves against a fixed one.
+    The tool centre point is then on the face of the fixed jaw, and the moving jaw is on the side of its +y."""
     max_opening_m: float
     """Total opening when fully open [m]."""
     force_n: float
@@ -264,7 +265,8 @@ class GripperModel:
     keeps_speed: bool = False
     """Whether the simulated motors keep to `speed_m_s`. The Franka hand uses faster ones, as in all its episodes."""
     links: tuple[str, ...] = ()
-    """Links that may touch a held object: the hand, the two finger tips, and what else moves with the fingers."""
+    """Links that may touch a held object: the hand, the two finger tips, the fixed one first, and what else moves with
+    the fingers."""
     followers: tuple[FollowerJoint, ...] = ()
     """Further joints of the fingers, e.g. those that keep the finger tips parallel."""
     opening_map: tuple[tuple[float, float], ...] = ()
@@ -279,6 +281,10 @@ class GripperModel:
         Raises:
             ConfigError: Naming the entry.
         """
+        if len(self.joint_names) not in (1, 2):
+            raise ConfigError(f"gripper: expected the driven joints of 1 or 2 fingers, got {len(self.joint_names)}")
+        if self.one_jaw and not self.opening_map:
+            raise ConfigError("gripper: one moving jaw needs an opening_map: opening [m] and position of its joint")
         for follower in self.followers:
             if follower.leader not in self.joint_names:
                 raise ConfigError(
@@ -319,7 +325,17 @@ class GripperModel:
         if not self.opening_map:
             return 1.0
         (closed, first), (opened, last) = self.opening_map[0], self.opening_map[-1]
-        return (opened - closed) / 2 / abs(last - first)
+        return (opened - closed) / len(self.joint_names) / abs(last - first)
+
+    @property
+    def one_jaw(self) -> bool:
+        """Whether one jaw moves against a fixed one."""
+        return len(self.joint_names) == 1
+
+    @property
+    def travel_m(self) -> float:
+        """Way of a finger from closed to open [m]."""
+        return self.max_opening_m / len(self.joint_names)
 
 
 def _one_way(values: Sequence[float]) -> bool:
@@ -387,18 +403,34 @@ class RobotModel:
     """Largest motor torque used by the sim [N m]."""
     close_pairs: tuple[ClosePair, ...] = ()
     """Pairs of links that the planner checks with finer geometry."""
+    rotations: int = 3
+    """Directions in which the tool turns while it stays where it is: 3 with six joints or more, 2 with five. With 2,
+    the tool goes to a place first and turns as far as it can there, and skills that need all three are refused."""
+    start: tuple[float, ...] = ()
+    """Box of an arm that does not reach where tasks begin, in the base: least x, y, z and greatest x, y, z of the tool
+    centre point [m]. Starts are drawn from the part of a task's box that is inside; along an axis on which none is,
+    from this box. Empty: the tasks' own."""
     stand: tuple[float, ...] = ()
     """Rectangle on the table that the arm's stand covers, in the base: least x and y, greatest x and y [m]. Objects are
     placed off it. Empty: the arm stands beside the table."""
 
     def __post_init__(self) -> None:
-        """Check that every list has one number per joint, and the stand.
+        """Check that every list has one number per joint, the rotations, the start and the stand.
 
         Raises:
             ConfigError: Naming the list.
         """
         if self.stand and (len(self.stand) != 4 or self.stand[0] >= self.stand[2] or self.stand[1] >= self.stand[3]):
             raise ConfigError(f"stand: expected least x, least y, greatest x, greatest y, got {list(self.stand)}")
+        least, greatest = self.start[:3], self.start[3:]
+        if self.start and (len(self.start) != 6 or any(a >= b for a, b in zip(least, greatest, strict=True))):
+            raise ConfigError(f"start: expected least x, y, z and greatest x, y, z, got {list(self.start)}")
+        possible = max(0, min(3, len(self.joint_names) - 3))
+        if not 0 <= self.rotations <= possible:
+            raise ConfigError(
+                f"rotations: an arm of {len(self.joint_names)} joints turns its tool in up to {possible} directions, "
+                f"got {self.rotations}"
+            )
         lists = {
             **asdict(self.limits),
             "home": self.home,

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from roboxim_core.errors import ConfigError
 from roboxim_core.models.description import JointLimits, RobotModel
 from roboxim_core.poses import Pose
 from roboxim_core.specs import RobotSpec
@@ -103,6 +104,8 @@ def gantry(name: str) -> RobotModel:
         ConfigError: When there is no such gripper.
     """
     tool = gripper(name)
+    if tool.gripper.one_jaw:
+        raise ConfigError(f"gripper '{name}' has one moving jaw; grasps are searched with two: take another gripper")
     held = tempfile.TemporaryDirectory(prefix="roboxim-gripper-")
     _KEPT.append(held)
     folder = Path(held.name) / "gantry"
@@ -129,7 +132,7 @@ def gantry(name: str) -> RobotModel:
     return RobotModel(
         id=name, urdf=urdf, srdf=urdf, base_link="base", tcp_link=tool.tcp.removeprefix(tool.prefix),
         joint_names=joints, gripper=tool.model(lambda own: own), home=(0.0, 0.0, 0.0), position_gain=GAIN,
-        motor_force=(FORCE_N,) * 3,
+        motor_force=(FORCE_N,) * 3, rotations=0,
         limits=JointLimits(
             lower=(-REACH_M,) * 3, upper=(REACH_M,) * 3, velocity=many, acceleration=many, jerk=many,
             effort=(FORCE_N,) * 3,

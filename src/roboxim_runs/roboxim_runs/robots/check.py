@@ -25,10 +25,12 @@ from roboxim_planner.collisions.checker import CollisionWorld
 from roboxim_planner.ik import IkSolver
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
+from roboxim_runs.robots.gripper_derivation import jaw_gap
 from roboxim_runs.robots.home import TOOL_DOWN
 from roboxim_sim.bullet import BulletClient
 from roboxim_sim.robot_body import RobotBody
 from roboxim_sim.world import World
+from roboxim_tasks.motion import JAW_CLEARANCE_M
 
 Array = npt.NDArray[np.float64]
 STATES = 200
@@ -41,7 +43,8 @@ HEIGHT_M = 0.15
 """Height of the TCP above the table in the reach map [m]."""
 EPISODES = 5
 CUBE, TICK_M, ROCKS, HELD_M = "cube", 0.02, 8, 0.006
-"""The object to hold, the way of a tick [m], turns of 0.36 rad about x, and how far it may move in the fingers [m]."""
+"""The object to hold, the way of a tick [m], turns of 0.36 rad, and how far it may move in the fingers [m]. They are
+about x, along which the fingers hold least; an arm whose tool does not turn so turns about y."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,12 +148,14 @@ def _self_collision(model: RobotModel) -> tuple[bool, str]:
 
 def _gripper(model: RobotModel) -> tuple[bool, str]:
     tool = model.gripper
-    kinematics = ArmKinematics(model)
-    apart = []
-    for opening in (0.0, 1.0):
-        poses = kinematics.link_poses(model.home, [tool.driven(opening)] * len(tool.joint_names))
-        left, right = (poses[link].position for link in tool.links[1:3])
-        apart.append(float(np.linalg.norm(np.subtract(left, right))))
+    if tool.one_jaw:
+        apart = [jaw_gap(model, opening) for opening in (0.0, 1.0)]
+    else:
+        kinematics, apart = ArmKinematics(model), []
+        for opening in (0.0, 1.0):
+            poses = kinematics.link_poses(model.home, [tool.driven(opening)] * len(tool.joint_names))
+            left, right = (poses[link].position for link in tool.links[1:3])
+            apart.append(float(np.linalg.norm(np.subtract(left, right))))
     moved, stated = apart[1] - apart[0], tool.max_opening_m - (tool.opening_map[0][0] if tool.opening_map else 0.0)
     return abs(moved - stated) < 1e-3, (
         f"finger tips open by {1000 * moved:.1f} mm, the stated opening is {1000 * stated:.1f} mm"
@@ -159,9 +164,14 @@ def _gripper(model: RobotModel) -> tuple[bool, str]:
 
 def _holds(model: RobotModel, *, library: ModelLibrary) -> tuple[bool, str]:
     """Close on a cube below the tool, lift it, rock it, and measure how far it moves in the gripper."""
-    x, y, z = ArmKinematics(model).fk(model.home).position
-    height = library.object(CUBE).rest_height
+    tcp = ArmKinematics(model).fk(model.home)
+    z = tcp.position[2]
+    solid = library.object(CUBE)
+    height, beside = solid.rest_height, solid.size[1] / 2 + JAW_CLEARANCE_M if model.gripper.one_jaw else 0.0
+    x, y, _ = tcp.apply((0.0, beside, 0.0)).tolist()
     cube = EntitySpec(name=CUBE, model=CUBE, pose=Pose(position=(x, y, height)))
+    rock = "roll" if model.rotations == 3 else "pitch"
+    up = 10 if model.rotations == 3 else math.floor((z - height) / TICK_M)
     with World(library) as world:
         world.load(SceneSpec(robot=RobotSpec(model=model.id), entities=(cube,)))
         down = math.ceil((z - height) / TICK_M)
@@ -170,24 +180,24 @@ def _holds(model: RobotModel, *, library: ModelLibrary) -> tuple[bool, str]:
         for _ in range(15):
             _tick(world)
         before = _in_tool(world.record)
-        for _ in range(10):
+        for _ in range(up):
             _tick(world, dz=TICK_M)
         for k in range(ROCKS):
             for _ in range(3):
-                _tick(world, roll=0.12 if k % 2 else -0.12)
+                _tick(world, **{rock: 0.12 if k % 2 else -0.12})
         record = world.record
     off, turned = distance(before, _in_tool(record))
     touching = any(contact.force_last > 1.0 for contact in record.contacts if CUBE in (contact.body_a, contact.body_b))
     held = touching and off < HELD_M
     return (
         held,
-        f"lifted and rocked, a cube moves by {1000 * off:.1f} mm and {turned:.2f} rad in the fingers"
+        f"lifted and rocked ({rock}), a cube moves by {1000 * off:.1f} mm and {turned:.2f} rad in the fingers"
         + ("" if held else f"; expected less than {1000 * HELD_M:.0f} mm: check force, finger tips and their shapes"),
     )
 
 
-def _tick(world: World, *, dz: float = 0.0, roll: float = 0.0, opening: float = 0.0) -> None:
-    world.tick(world.record.seq + 1, np.array([0.0, 0.0, dz, roll, 0.0, 0.0, opening], np.float32))
+def _tick(world: World, *, dz: float = 0.0, roll: float = 0.0, pitch: float = 0.0, opening: float = 0.0) -> None:
+    world.tick(world.record.seq + 1, np.array([0.0, 0.0, dz, roll, pitch, 0.0, opening], np.float32))
 
 
 def _in_tool(record: StateRecord) -> Pose:

@@ -146,8 +146,11 @@ class Arm:
                 raise ConfigError(
                     f"{path}: joint '{joint.get('name')}' is {joint.get('type')}; an arm has revolute joints"
                 )
-        if not moving:
-            raise ConfigError(f"{path}: no joint moves between '{self.base}' and '{self.flange}'")
+        if len(moving) < 5:
+            raise ConfigError(
+                f"{path}: {len(moving)} joints move between '{self.base}' and '{self.flange}'; an arm needs at least 5 "
+                "for a tool that points down at any yaw"
+            )
         self.joints = {str(joint.get("name")): joint for joint in moving}
         self._kept = [*(self._links[link] for link in reversed(chain)), *self._side_links(above, set(chain))]
 
@@ -210,6 +213,11 @@ class Arm:
     def stand(self) -> list[float]:
         """Rectangle that the arm's stand covers, as `RobotModel.stand`."""
         return covered(self.recipe)
+
+    @property
+    def start(self) -> list[float]:
+        """Box in which tasks start the tool, as `RobotModel.start`."""
+        return list(self.recipe.start)
 
     def own(self, name: str) -> str:
         """Return the robot's name of a link or joint."""
@@ -305,6 +313,8 @@ class Arm:
             "home": home,
             "position_gain": gain,
             "motor_force": motor_force,
+            **({"rotations": rotations} if (rotations := min(3, len(self.joints) - 3)) < 3 else {}),
+            **({"start": start} if (start := self.start) else {}),
             **({"stand": area} if (area := self.stand) else {}),
         }
 
@@ -339,6 +349,11 @@ class ShippedArm(Arm):
     def stand(self) -> list[float]:
         """That of the robot."""
         return list(self.model.stand)
+
+    @property
+    def start(self) -> list[float]:
+        """The recipe's, or else that of the robot."""
+        return super().start or list(self.model.start)
 
     def own(self, name: str) -> str:
         """Return the robot's name of a link or joint."""

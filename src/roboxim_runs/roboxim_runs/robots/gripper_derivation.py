@@ -21,7 +21,10 @@ import yaml
 from scipy.optimize import brentq
 
 from roboxim_core.errors import ConfigError
-from roboxim_core.models.description import FollowerJoint, GripperModel
+from roboxim_core.models.description import FollowerJoint, GripperModel, RobotModel
+from roboxim_core.poses import Array
+from roboxim_planner.collisions.geometry import convex_hull
+from roboxim_planner.robot import PlannerRobot
 from roboxim_runs.robots.grippers import below
 from roboxim_runs.robots.link_meshes import LinkMeshes
 from roboxim_runs.robots.reading import expanded
@@ -55,10 +58,10 @@ class GripperRecipe:
     """Where the URDF comes from, with version and licence."""
     root: str
     """Link that is mounted: z points out of the flange, the fingers open along y. What lies above it is left out."""
-    joints: tuple[str, str]
-    """Driven joint of each finger; both move alike."""
+    joints: tuple[str, ...]
+    """Driven joint of each finger; both move alike. One joint: a jaw that moves against a fixed one."""
     tips: tuple[str, str]
-    """Link of each finger that holds an object."""
+    """Link of each finger that holds an object; with one joint, the fixed jaw first."""
     force_n: float
     """Force of each finger [N]."""
     speed_m_s: float
@@ -160,9 +163,8 @@ def _renamed(elements: list[Element], recipe: GripperRecipe) -> GripperRecipe:
             for key in ("name", "link", "joint"):
                 if part.get(key) and part.tag in ("link", "joint", "parent", "child", "mimic"):
                     part.set(key, own(str(part.get(key))))
-    first, second = recipe.joints
     left, right = recipe.tips
-    return replace(recipe, root=HAND, joints=(own(first), own(second)), tips=(own(left), own(right)))
+    return replace(recipe, root=HAND, joints=tuple(map(own, recipe.joints)), tips=(own(left), own(right)))
 
 
 def plain(tool: GripperModel) -> dict[str, Any]:
@@ -264,6 +266,7 @@ def _measured(
         shape.buildConvexHull(True, "Qt")
         shapes.append(shape.convex)
     leaders = {name: model.joints[model.getJointId(name)].idx_q for name in recipe.joints}
+    one_jaw = len(recipe.joints) == 1
 
     def placed(position: float) -> list[pin.SE3]:
         q = pin.neutral(model)
@@ -290,14 +293,52 @@ def _measured(
         if gap(position) < 0.0:
             closed = float(brentq(gap, last, position, xtol=1e-6))
             break
-    rows = [(round(gap(q), 5), round(float(q), 5)) for q in np.linspace(closed, opened, ROWS)]
+    positions = np.linspace(closed, opened, ROWS)
+    if one_jaw:  # between the tips: nearer to its axis, a jaw that turns opens less
+        turned = placed(closed)[1]
+        end = _end(np.asarray(shapes[1].points()) @ turned.rotation.T + turned.translation)
+        shapes[1] = coal.Convex(convex_hull((np.asarray(end.points()) - turned.translation) @ turned.rotation))
+    rows = [(round(gap(q), 5), round(float(q), 5)) for q in positions]
     rows[0] = (max(rows[0][0], 0.0), rows[0][1])
     reach = max(
         float((pose.rotation @ np.asarray(shape.points()).T).T[:, 2].max() + pose.translation[2])
-        for shape, pose in zip(shapes, placed(closed), strict=True)
+        for q in (positions if one_jaw else (closed,))
+        for shape, pose in zip(shapes, placed(q), strict=True)
     )
-    middle = placed((opened + closed) / 2)[0]
-    center = middle.act(np.asarray(shapes[0].points()).mean(axis=0))
+    middle = placed((opened + closed) / 2)[-1 if one_jaw else 0]
+    center = middle.act(np.asarray(shapes[-1 if one_jaw else 0].points()).mean(axis=0))
     driven = data.oMi[model.getJointId(recipe.joints[0])]
     slides = model.joints[model.getJointId(recipe.joints[0])].shortname().startswith("JointModelP")
     return tuple(rows), reach, 1.0 if slides else float(center[2] - driven.translation[2])
+
+
+def _end(points: Array) -> coal.ConvexBase:
+    """Return the part of a closed jaw that touches what it holds, its last two centimetres along the tool's z axis."""
+    return coal.Convex(convex_hull(points[points[:, 2] > points[:, 2].max() - 2 * TIP_BEYOND_TCP_M]))
+
+
+def jaw_gap(robot: RobotModel, opening: float) -> float:
+    """Return the distance of a robot's fixed jaw from the end of its moving one [m].
+
+    Args:
+        robot: A robot whose gripper has one moving jaw.
+        opening: 1 = open, 0 = closed.
+    """
+    planner = PlannerRobot(robot)
+    data, fixed, moving = planner.model.createData(), *robot.gripper.links[1:3]
+
+    def placed(at: float) -> tuple[list[pin.GeometryObject], list[pin.SE3]]:
+        pin.framesForwardKinematics(planner.model, data, planner.full(np.array(robot.home), at))
+        items = [planner.geometry.geometryObjects[planner.item_links.index(link)] for link in (fixed, moving)]
+        tool = data.oMf[planner.tcp_frame]
+        return items, [tool.actInv(data.oMi[item.parentJoint] * item.placement) for item in items]
+
+    items, (_, closed) = placed(0.0)
+    points = np.asarray(items[1].geometry.points())
+    end = _end(points @ closed.rotation.T + closed.translation)
+    _, (first, second) = placed(opening)
+    moved = second * closed.inverse()
+    result = coal.DistanceResult()
+    poses = [coal.Transform3s(pose.rotation, pose.translation) for pose in (first, moved)]
+    coal.distance(items[0].geometry, poses[0], end, poses[1], coal.DistanceRequest(), result)
+    return float(result.min_distance)

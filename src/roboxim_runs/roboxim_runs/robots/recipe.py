@@ -51,6 +51,8 @@ class RobotRecipe:
     collision_m: float = 0.002
     """How far a convex collision part may reach beyond the mesh's hull [m]. A coarser part has fewer faces and loads
     faster; 0: the hull itself."""
+    start: tuple[float, ...] = ()
+    """Box in which tasks start the tool of an arm that is too small for theirs, see `RobotModel.start` [m]."""
     triangles: int = 1200
     """Triangles of a link's visual mesh. The renderer draws a coarse shape of a link with more faces than pixels."""
 

@@ -99,7 +99,7 @@ def test_an_arm_of_the_library_keeps_its_limits(tmp_path: Path, monkeypatch: pyt
         )
         for arm in ModelLibrary().robot_ids
         for name in GRIPPERS
-        if arm != "panda_2f85"
+        if arm != "panda_2f85" and "so101" not in arm + name  # which were not tried apart
     ],
 )
 def test_every_gripper_fits_every_arm(arm: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

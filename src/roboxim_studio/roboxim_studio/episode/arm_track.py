@@ -58,7 +58,7 @@ class ArmTrack:
         """Return the arm at a step, as a state record has it; without velocities, and without poses of the tool."""
         joints = tuple(float(value) for value in self.joints[step])
         opening = 1.0 if self.opening is None else float(np.clip(self.opening[step], 0.0, 1.0))
-        fingers = (opening * self.model.gripper.max_opening_m / 2,) * len(self.model.gripper.joint_names)
+        fingers = (self.model.gripper.driven(opening),) * len(self.model.gripper.joint_names)
         return RobotState(
             joint_names=self.model.joint_names, joint_positions=joints, joint_velocities=(0.0,) * len(joints),
             joint_commands=joints, pose_tcp_measured=Pose(), pose_tcp_commanded=Pose(), gripper_opening=opening,

@@ -67,16 +67,29 @@ class RobotReset(ResetComponent):
             if not arm.within_limits(joints):
                 raise ConfigError(f"reset.robot.joints {joints.tolist()} are beyond the limits of '{arm.model.id}'")
             return _with_joints(scene, joints.tolist(), opening)
+        starts = _reachable_box(self.config.position, arm.model.start)
         for _ in range(context.config.max_draws):
-            position = self.config.position.draw(rng, index)
+            position = starts.draw(rng, index)
             yaw = self.config.yaw_rad.draw_number(rng, index)
             rotation = Rotation.from_euler("z", yaw) * Rotation.from_euler("x", 180, degrees=True)
             found = arm.ik_near(Pose.from_arrays(position, rotation), arm.model.home)
             if found.converged and arm.within_limits(found.joints, LIMIT_MARGIN_RAD):
-                context.record("robot.position", self.config.position, position)
+                context.record("robot.position", starts, position)
                 context.record("robot.yaw_rad", self.config.yaw_rad, yaw)
                 return _with_joints(scene, found.joints.tolist(), opening)
         raise RejectedError("robot_start_reachable", _unreached(arm, position, yaw, found))
+
+
+def _reachable_box(wanted: VectorChoice, own: tuple[float, ...]) -> VectorChoice:
+    """Return the part of a box that is inside the start of an arm, see `RobotModel.start`; empty: the arm has none."""
+    if not own or wanted.lower is None or wanted.upper is None:
+        return wanted
+    lower, upper = [], []
+    for low, high, least, greatest in zip(wanted.lower, wanted.upper, own[:3], own[3:], strict=True):
+        inside = max(low, least), min(high, greatest)
+        lower.append(inside[0] if inside[0] <= inside[1] else least)
+        upper.append(inside[1] if inside[0] <= inside[1] else greatest)
+    return VectorChoice(lower=tuple(lower), upper=tuple(upper))
 
 
 def _unreached(arm: ArmKinematics, position: Array, yaw: float, found: IkResult) -> str:

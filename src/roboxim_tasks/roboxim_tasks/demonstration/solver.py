@@ -6,7 +6,6 @@ planner checks the resulting joint path stage by stage. A blocked stage that is 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -24,6 +23,8 @@ from roboxim_tasks.motion import GRIPPER, TABLE, ExpertScene, Stage
 from roboxim_tasks.roles import task_distractors
 
 MAX_TRACKING_ERROR_M = 2e-3
+MAX_TURN_ERROR_RAD = 0.02
+"""Largest rotation from a stage's goal at its end, for an arm whose tool turns in fewer than three directions [rad]."""
 PLANNED_VIA_STEP_M = 0.02
 MAX_CANDIDATES = 48
 CLEARANCE_M = 0.004
@@ -293,11 +294,14 @@ def _roll_out(
 ) -> tuple[ControllerState, list[tuple[float, ...]], _Blocked | None]:
     """Return the controller's last state, its joint path along a reference, and where it cannot follow."""
     path = [state.joints]
-    for point in points:
+    for number, point in enumerate(points):
         step = controller.step(state, delta_between(state.pose, point.pose, point.opening))
         state = step.state
         path.append(state.joints)
-        off = math.dist(state.pose.position, point.pose.position)
+        off, turned = distance(state.pose, point.pose)
+        if turned > MAX_TURN_ERROR_RAD and [p.stage for p in points[number : number + 2]] != [point.stage] * 2:
+            reason = f"the tool stays {turned:.2f} rad from the rotation wanted at {_short(point.pose)}"
+            return state, path, _Blocked(stage=point.stage, reason=reason)
         if step.clipped or step.left_workspace or step.unreached or off > MAX_TRACKING_ERROR_M:
             word = "left_workspace" if step.left_workspace else "clipped" if step.clipped else "unreachable"
             place = _short(point.pose)

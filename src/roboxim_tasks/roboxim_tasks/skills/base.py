@@ -40,6 +40,11 @@ class Skill(ABC):
     """Reset component to the keys whose defaults this skill changes; a task's configuration takes precedence."""
     max_steps: ClassVar[int] = 100
     """Actions after which an episode has failed, at the default control rate; other rates keep the same duration."""
+    rotations: ClassVar[int] = 2
+    """Directions in which the skill turns the tool beside moving it: 2 if the tool points down at any yaw, 3 if it
+    leans to any side. Arms of five joints have 2, see `RobotModel.rotations`."""
+    moving_fingers: ClassVar[int] = 1
+    """Fingers that must move: 1 if it only grasps or presses, 2 if it relies on both moving alike."""
     Parameters: ClassVar[type]
     """Frozen dataclass of scalars with defaults: the ``parameters`` of the YAML, the ``arguments`` of the task."""
 

@@ -69,6 +69,7 @@ class CloseDoor(Skill):
     templates = ("Close the {target}", "Close the door of the {target}", "Push the door of the {target} shut")
     components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
     reset = {"objects": BEHIND_THE_MIDDLE, "joints": {"target": {"lower": 0.3, "upper": 0.6}}}
+    rotations = 3
     max_steps = 150
     Parameters = CloseDoorParameters
 

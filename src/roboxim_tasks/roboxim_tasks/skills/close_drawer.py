@@ -85,6 +85,7 @@ class CloseDrawer(Skill):
         "objects": {**BEHIND_THE_MIDDLE, "area": {"lower": [0.70, -0.22], "upper": [0.80, 0.22]}},
         "joints": {"target": {"lower": 0.6, "upper": 1.0}},
     }
+    rotations = 3
     max_steps = 150
     Parameters = CloseDrawerParameters
 

@@ -82,6 +82,7 @@ class FlipSwitch(Skill):
     roles = {"target": Role(affordance="flippable", models=("switch",))}
     templates = ("Flip the {target}", "Toggle the {target}", "Flip the lever of the {target} to the other side")
     components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
+    rotations = 3
     max_steps = 120
     Parameters = FlipSwitchParameters
 

@@ -68,6 +68,7 @@ class OpenDoor(Skill):
     templates = ("Open the {target}", "Open the door of the {target}", "Pull the door of the {target} open")
     components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
     reset = {"objects": BEHIND_THE_MIDDLE}
+    rotations = 3
     max_steps = 150
     Parameters = OpenDoorParameters
 

@@ -81,6 +81,7 @@ class OpenDrawer(Skill):
     )
     components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
     reset = {"objects": BEHIND_THE_MIDDLE}
+    rotations = 3
     max_steps = 150
     Parameters = OpenDrawerParameters
 

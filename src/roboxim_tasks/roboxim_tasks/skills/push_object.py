@@ -101,6 +101,7 @@ class PushObject(Skill):
     roles = {"target": Role(affordance="pushable")}
     words = ("direction",)
     templates = ("Push the {target} {direction}", "Slide the {target} {direction}", "Move the {target} {direction}")
+    moving_fingers = 2
     max_steps = 100
     Parameters = PushObjectParameters
 

@@ -100,13 +100,13 @@ class Rotate(Skill):
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
         """Require that the arm reaches a grasp, and the same grasp after the rotation."""
         parameters: RotateParameters = parameters_of(context.task, RotateParameters)
-        entity = context.task.objects["target"].entity
+        entity, one_jaw = context.task.objects["target"].entity, context.arm.model.gripper.one_jaw
 
         def reachable(scene: SceneSpec) -> bool:
             spec = scene.entity(entity)
             pose = scene.robot.pose.inverse() @ spec.pose
             home = context.arm.fk(context.arm.model.home)
-            for grasp in grasp_poses(context.library.entity_model(spec), pose, home):
+            for grasp in grasp_poses(context.library.entity_model(spec), pose, home, one_jaw=one_jaw):
                 way = [_turned(pose, angle) @ pose.inverse() @ grasp for angle in _steps(parameters.angle_rad)]
                 lifted = [shifted(turn, LIFTS_M[0]) for turn in way]
                 if reaches_in_lines(context, retreated(grasp, APPROACH_M), grasp, *lifted, way[-1]):

@@ -72,6 +72,7 @@ class TurnKnob(Skill):
     templates = ("Turn the {target} {direction}", "Turn {direction} the {target}", "Twist the {target} {direction}")
     components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
     reset = {"joints": {"target": {"lower": 0.4, "upper": 0.6}}}
+    rotations = 3
     max_steps = 120
     Parameters = TurnKnobParameters
 

@@ -79,6 +79,7 @@ class TurnUpright(Skill):
     roles = {"target": Role(affordance="upright", models=("soda_can",))}
     templates = ("Turn the {target} upright", "Put the {target} upright", "Stand the {target} up")
     components = ("robot", "objects", "toppled", "distractors", "cameras", "lights")
+    rotations = 3
     max_steps = 150
     Parameters = TurnUprightParameters
 
