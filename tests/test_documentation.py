@@ -185,7 +185,7 @@ def test_the_front_page_leads_to_a_task(task: str, page: str) -> None:
 
 
 def test_the_front_page_counts_what_there_is() -> None:
-    arm, gripper = ["seven", "eight", "nine", "ten"], ["two", "three", "four"]
+    arm, gripper = ["seven", "eight", "nine", "ten"], ["two", "three", "four", "five", "six"]
     thing = ["twenty", "twenty-one", "twenty-two", "twenty-three", "twenty-four"]
     skill = ["thirteen", "fourteen", "fifteen", "sixteen", "seventeen", "eighteen"]
     recipes = {name: named_config("robots", name).with_suffix("") / "recipe.yaml" for name in config_names("robots")}
