@@ -31,7 +31,7 @@ def skill_refusal(skill: Skill, robot: RobotModel) -> str:
             f"'{robot.id}' has {joints} joints and {robot.rotations} rotations"
         )
     if skill.moving_fingers > len(robot.gripper.joint_names):
-        return f"{skill.name} pushes with two fingers that move alike; the gripper of '{robot.id}' has one moving jaw"
+        return f"{skill.name} relies on two fingers that move alike; the gripper of '{robot.id}' has one moving jaw"
     return ""
 
 

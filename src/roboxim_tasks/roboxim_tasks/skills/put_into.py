@@ -105,6 +105,7 @@ class PutInto(Skill):
         "Drop the {target} into the {container}",
     )
     components = ("robot", "objects", "joints", "distractors", "cameras", "lights")
+    moving_fingers = 2
     max_steps = 200
     Parameters = PutIntoParameters
 
