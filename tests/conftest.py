@@ -8,7 +8,7 @@ from roboxim_bringup.testing import graph, graph_parameters  # noqa: F401
 
 
 def pytest_collection_finish():
-    """Exempt the modules and the 9,000 collected tests from garbage collection: each one visited all of them."""
+    """Exempt what exists after the collection of tests from garbage collection, which would visit it each time."""
     gc.collect()
     gc.freeze()
 
