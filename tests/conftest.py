@@ -13,6 +13,11 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+def pytest_unconfigure():
+    """Let the interpreter free all of it at its end; nanobind reports what is left as leaks."""
+    gc.unfreeze()
+
+
 @pytest.fixture(scope="session")
 def expert_bag(tmp_path_factory):
     """Return a function that records a successful episode of the expert, and returns its bag, result and ticks."""
