@@ -1,4 +1,6 @@
-"""RoboXim's planner as a contender. ``ms`` includes setting up the scene, which is part of each request.
+"""RoboXim's planner as a contender, for the robot named by its argument.
+
+``ms`` includes setting up the scene, which is part of each request.
 
 In addition to the contenders' protocol it serves requests with an ``op``: ``ik``, ``retreat``, ``repeat``, ``digests``.
 """
@@ -8,6 +10,7 @@ from __future__ import annotations
 import gc
 import hashlib
 import os
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -27,8 +30,9 @@ from roboxim_planner.sequence import Stage, StageGoal, plan_sequence
 
 def make() -> Callable[[dict[str, Any]], Answer]:
     """Load the robot."""
-    planner = Planner(ModelLibrary().robot("panda"))
-    planner.plan_to_joints(PlanningScene(), planner.named_state("home"), planner.named_state("ready"))
+    planner = Planner(ModelLibrary().robot(sys.argv[1] if len(sys.argv) > 1 else "panda"))
+    home = planner.named_state("home")
+    planner.plan_to_joints(PlanningScene(), home, np.asarray(home) + 0.05)
     answers = {"plan": plan, "ik": inverse_kinematics, "retreat": retreat, "repeat": repeat, "digests": digests}
     return lambda request: answers[request.get("op", "plan")](planner, request)
 

@@ -14,7 +14,7 @@ import pinocchio as pin
 from benchmarks.peers._serve import pack, unpack
 from benchmarks.planner._contenders import OURS, Contender
 from benchmarks.planner._problems import Problem, arm, configuration_at, tabletop
-from benchmarks.planner._referee import LOWER, PERIOD_S, UPPER, Referee
+from benchmarks.planner._referee import PERIOD_S, Referee
 
 from roboxim_core.poses import Pose
 
@@ -28,11 +28,13 @@ STEPS = 48
 """Number of steps in which the search follows the line."""
 
 
-def ik_row(ours: Contender, count: int, salt: int) -> Row:
+def ik_row(ours: Contender, count: int, salt: int, robot: str = "panda") -> Row:
     """Solve for the tcp poses of random configurations within the limits; the referee checks the solutions."""
-    referee = Referee([])
-    rng = np.random.default_rng([20262, salt])
-    targets = [referee.tcp(q) for q in rng.uniform(LOWER, UPPER, (count, 7))]
+    referee = Referee([], robot=robot)
+    drawn = np.random.default_rng([20262, salt]).uniform(
+        referee.machine.lower, referee.machine.upper, (count, referee.machine.dof)
+    )
+    targets = [referee.tcp(q) for q in drawn]
     poses = np.array([pin.SE3ToXYZQUAT(target) for target in targets])
     answer = ours.ask({"op": "ik", "poses": pack(poses)}, 300.0)
     joints, times = unpack(answer["joints"]), unpack(answer["ms"])
@@ -74,13 +76,14 @@ def load_row(make: Callable[[], Contender], count: int, salt: int) -> Row:
 
 
 def _reaches(referee: Referee, joints: Array, target: pin.SE3) -> bool:
-    if not np.isfinite(joints).all() or (joints < LOWER - 1e-9).any() or (joints > UPPER + 1e-9).any():
+    lower, upper = referee.machine.lower, referee.machine.upper
+    if not np.isfinite(joints).all() or (joints < lower - 1e-9).any() or (joints > upper + 1e-9).any():
         return False
     off = referee.tcp(joints).actInv(target)
     return float(np.linalg.norm(off.translation)) <= IK_M and float(np.linalg.norm(pin.log3(off.rotation))) <= IK_RAD
 
 
-def retreat_row(ours: Contender, count: int, salt: int) -> Row:
+def retreat_row(ours: Contender, count: int, salt: int, robot: str = "panda") -> Row:
     """Reach tabletop poses and retreat 12 cm straight back, where a brute-force search finds this feasible.
 
     The search tries many goal configurations and follows the line from each. It thus finds a configuration at the pose
@@ -88,7 +91,7 @@ def retreat_row(ours: Contender, count: int, salt: int) -> Row:
     """
     times, valid, feasible, seed, faults = [], 0, 0, 0, []
     while feasible < count:
-        problem = tabletop(100_000 + seed, salt)
+        problem = tabletop(100_000 + seed, salt, robot)
         seed += 1
         if not is_retreat_feasible(problem):
             continue
@@ -118,12 +121,14 @@ def is_retreat_feasible(problem: Problem) -> bool:
     goal, referee = problem.goal_value, problem.referee()
     assert isinstance(goal, pin.SE3)
     rng = np.random.default_rng(7)
-    return any(_line_is_free(referee, goal, q) for q in _configurations(rng, goal) if not referee.collides(q))
+    return any(_line_is_free(referee, goal, q) for q in _configurations(rng, problem) if not referee.collides(q))
 
 
-def _configurations(rng: np.random.Generator, goal: pin.SE3) -> Iterator[Array]:
+def _configurations(rng: np.random.Generator, problem: Problem) -> Iterator[Array]:
+    goal = problem.goal_value
+    assert isinstance(goal, pin.SE3)
     for _ in range(CANDIDATES):
-        joints = configuration_at(rng, goal)
+        joints = configuration_at(rng, goal, problem.robot)
         if joints is not None:
             yield joints
 
@@ -132,8 +137,8 @@ def _line_is_free(referee: Referee, goal: pin.SE3, joints: Array) -> bool:
     path = [joints]
     for part in np.linspace(0.0, RETREAT_M, STEPS + 1)[1:]:
         pose = goal * pin.SE3(np.eye(3), np.array([0.0, 0.0, -part]))
-        found = arm().ik_near(Pose.from_matrix(pose.homogeneous), path[-1])
-        inside = ((found.joints >= LOWER) & (found.joints <= UPPER)).all()
+        found = arm(referee.machine.name).ik_near(Pose.from_matrix(pose.homogeneous), path[-1])
+        inside = ((found.joints >= referee.machine.lower) & (found.joints <= referee.machine.upper)).all()
         if not found.converged or not inside or np.abs(found.joints - path[-1]).max() > 0.2:
             return False
         path.append(found.joints)

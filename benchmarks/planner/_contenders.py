@@ -21,8 +21,9 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 from benchmarks.peers._serve import unpack
+from benchmarks.planner._machines import SOURCE
 from benchmarks.planner._problems import Problem
-from benchmarks.planner._referee import SOURCE, Verdict
+from benchmarks.planner._referee import Verdict
 
 Array = npt.NDArray[np.float64]
 HERE = Path(__file__).resolve().parents[1]
@@ -60,7 +61,7 @@ class Outcome:
     detour: bool = False
     """Whether the direct joint line collides."""
     positions: Array | None = field(default=None, compare=False, repr=False)
-    """The motion at a kilohertz, shape (N, 7) [rad]; not stored."""
+    """The motion at a kilohertz, shape (N, dof) [rad]; not stored."""
 
     @property
     def valid(self) -> bool:
@@ -173,18 +174,19 @@ class Contender:
         return json.loads(line) if line else None
 
 
-def contenders(names: list[str], robot_folder: Path) -> tuple[list[Contender], list[str]]:
+def contenders(names: list[str], robot_folder: Path, robot: str = "panda") -> tuple[list[Contender], list[str]]:
     """Return the contenders that are installed, and the names of those that are not.
 
     Args:
         names: Of ``roboxim``, ``mplib``, ``roboplan``.
-        robot_folder: An empty folder for the peers' robot.
+        robot_folder: An empty folder for the peers' robot, the Panda.
+        robot: Of RoboXim's planner.
     """
     write_robot(robot_folder)
     found, missing = [], []
     for name in names:
         python = Path(sys.executable) if name == OURS else TOOLS / f"planner-{name}-env/bin/python"
-        arguments = [] if name == OURS else [str(robot_folder)]
+        arguments = [robot if name == OURS else str(robot_folder)]
         if python.exists():
             found.append(Contender(name, python, f"run_{name}.py", *arguments))
         else:
@@ -192,9 +194,9 @@ def contenders(names: list[str], robot_folder: Path) -> tuple[list[Contender], l
     return found, missing
 
 
-def our_planner() -> Contender:
-    """Return RoboXim's planner, in a separate process."""
-    return Contender(OURS, Path(sys.executable), "run_roboxim.py")
+def our_planner(robot: str = "panda") -> Contender:
+    """Return RoboXim's planner for a robot, in a separate process."""
+    return Contender(OURS, Path(sys.executable), "run_roboxim.py", robot)
 
 
 def toppra_measure() -> Contender | None:

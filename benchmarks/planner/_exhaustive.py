@@ -11,8 +11,8 @@ import time
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from benchmarks.planner._machines import Machine
 from benchmarks.planner._problems import Problem, configuration_at
-from benchmarks.planner._referee import LOWER, UPPER
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
@@ -33,13 +33,13 @@ def why_infeasible(problem: Problem, seed: int = 1, attempts: int = GOAL_ATTEMPT
     """
     referee = problem.referee()
     start = np.array(problem.start)
-    if not _within_limits(start):
+    if not _within_limits(referee.machine, start):
         return "the start is beyond the joint limits"
     if referee.collides(start):
         return "the start collides"
     if problem.goal_is_joints:
         goal = np.array(problem.goal)
-        if not _within_limits(goal):
+        if not _within_limits(referee.machine, goal):
             return "the goal is beyond the joint limits"
         return "the goal collides" if referee.collides(goal) else ""
     pose = problem.goal_value
@@ -47,7 +47,7 @@ def why_infeasible(problem: Problem, seed: int = 1, attempts: int = GOAL_ATTEMPT
     rng = np.random.default_rng(seed)
     reached = 0
     for _ in range(attempts):
-        joints = configuration_at(rng, pose)
+        joints = configuration_at(rng, pose, problem.robot)
         if joints is not None:
             if not referee.collides(joints):
                 return ""
@@ -57,8 +57,8 @@ def why_infeasible(problem: Problem, seed: int = 1, attempts: int = GOAL_ATTEMPT
     return f"no configuration reaches the goal, from {attempts} random starts of the arm"
 
 
-def _within_limits(joints: Array) -> bool:
-    return bool(((joints >= LOWER) & (joints <= UPPER)).all())
+def _within_limits(arm: Machine, joints: Array) -> bool:
+    return bool(((joints >= arm.lower) & (joints <= arm.upper)).all())
 
 
 def is_solvable(problem: Problem, limit_s: float = 60.0, seed: int = 1) -> bool:
@@ -74,27 +74,28 @@ def is_solvable(problem: Problem, limit_s: float = 60.0, seed: int = 1) -> bool:
     rng = np.random.default_rng(seed)
     referee = problem.referee()
     goals: list[Array] = []
+    dof = referee.machine.dof
     while time.monotonic() - begun < limit_s:
         goals += _goal_configurations(problem, rng, 40)
         if not goals:
             continue
-        space = ob.RealVectorStateSpace(7)
-        bounds = ob.RealVectorBounds(7)
-        for i in range(7):
-            bounds.setLow(i, float(LOWER[i]))
-            bounds.setHigh(i, float(UPPER[i]))
+        space = ob.RealVectorStateSpace(dof)
+        bounds = ob.RealVectorBounds(dof)
+        for i in range(dof):
+            bounds.setLow(i, float(referee.machine.lower[i]))
+            bounds.setHigh(i, float(referee.machine.upper[i]))
         space.setBounds(bounds)
         setup = og.SimpleSetup(space)
-        setup.setStateValidityChecker(lambda state: not referee.collides(np.array(state[0:7])))
+        setup.setStateValidityChecker(lambda state: not referee.collides(np.array(state[0:dof])))
         information = setup.getSpaceInformation()
         information.setStateValidityCheckingResolution(EDGE_RAD / space.getMaximumExtent())
         start = space.allocState()
-        start[0:7] = list(problem.start)
+        start[0:dof] = list(problem.start)
         setup.setStartState(start)
         states = ob.GoalStates(information)
         for goal in goals[-60:]:
             state = space.allocState()
-            state[0:7] = goal.tolist()
+            state[0:dof] = goal.tolist()
             states.addState(state)
         setup.setGoal(states)
         planner = og.RRTConnect(information)
@@ -111,5 +112,5 @@ def _goal_configurations(problem: Problem, rng: np.random.Generator, attempts: i
     goal = problem.goal_value
     assert isinstance(goal, pin.SE3)
     referee = problem.referee()
-    drawn = (configuration_at(rng, goal) for _ in range(attempts))
+    drawn = (configuration_at(rng, goal, problem.robot) for _ in range(attempts))
     return [joints for joints in drawn if joints is not None and not referee.collides(joints)]

@@ -44,9 +44,9 @@ class Store:
                 file.write(json.dumps(plain) + "\n")
 
 
-def tabletop_draws(count: int, salt: int) -> list[Draw]:
-    """Return draws of tabletop problems."""
-    return [(f"tabletop-{seed}", seed, lambda seed=seed: tabletop(seed, salt)) for seed in range(count)]
+def tabletop_draws(count: int, salt: int, robot: str = "panda") -> list[Draw]:
+    """Return draws of tabletop problems of an arm."""
+    return [(f"tabletop-{seed}", seed, lambda seed=seed: tabletop(seed, salt, robot)) for seed in range(count)]
 
 
 def hard_draws(count: int, salt: int) -> list[Draw]:

@@ -1,4 +1,4 @@
-"""Planning problems for the Panda by seed: the format that all contenders receive, and tabletop scenes.
+"""Planning problems by seed: the format that all contenders receive, and tabletop scenes.
 
 A problem consists of plain values in the frame of the robot's base, so that a process without RoboXim can read it. This
 module does not use the planner: goals come from random configurations and `roboxim_core`'s kinematics, and the referee
@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
-from benchmarks.planner._referee import LOWER, UPPER, Referee, Solid
+from benchmarks.planner._machines import machine
+from benchmarks.planner._referee import Referee, Solid
 
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
@@ -40,13 +41,15 @@ class Problem:
     held: Solid | None = None
     """Solids that the gripper holds, poses in the tcp frame."""
     start: tuple[float, ...]
-    """Arm configuration, 7 numbers [rad]."""
+    """Arm configuration [rad]."""
     goal: tuple[float, ...]
     """Tcp in the base: position [m] and quaternion xyzw, 7 numbers; or an arm configuration, see ``goal_is_joints``."""
     goal_is_joints: bool = False
     """Whether the goal is an arm configuration."""
     padding_m: float = 0.0
     """Distance to keep from obstacles while searching [m]."""
+    robot: str = "panda"
+    """The arm, as in ``config/robots``."""
     detour: bool = False
     """Whether the direct joint line to the nearest goal configuration collides."""
 
@@ -62,7 +65,7 @@ class Problem:
 
     def referee(self) -> Referee:
         """Return the referee of the problem's scene."""
-        return Referee(self.solids, self.held)
+        return Referee(self.solids, self.held, self.robot)
 
     def plain(self) -> dict[str, Any]:
         """Return the problem as JSON types."""
@@ -70,9 +73,9 @@ class Problem:
 
 
 @cache
-def arm() -> ArmKinematics:
-    """Return the Panda's kinematics."""
-    return ArmKinematics(ModelLibrary().robot("panda"))
+def arm(robot: str = "panda") -> ArmKinematics:
+    """Return an arm's kinematics."""
+    return ArmKinematics(ModelLibrary().robot(robot))
 
 
 def problem(name: str, referee: Referee, start: Array, end: Array, *, joints: bool = False) -> Problem:
@@ -95,6 +98,7 @@ def problem(name: str, referee: Referee, start: Array, end: Array, *, joints: bo
         goal=tuple(end.tolist() if joints else pin.SE3ToXYZQUAT(goal).tolist()),
         goal_is_joints=joints,
         padding_m=PADDING_M if wide else 0.0,
+        robot=referee.machine.name,
         detour=is_detour(referee, start, end, goal, joints=joints),
     )
 
@@ -103,15 +107,16 @@ def is_detour(referee: Referee, start: Array, end: Array, goal: pin.SE3, *, join
     """Return whether the joint lines to a goal configuration and to the one nearest to the start collide."""
     if not referee.edge_collides(start, end):
         return False
-    near = arm().ik_near(Pose.from_matrix(goal.homogeneous), start)
+    near = arm(referee.machine.name).ik_near(Pose.from_matrix(goal.homogeneous), start)
     return joints or not near.converged or referee.edge_collides(start, near.joints)
 
 
-def configuration_at(rng: np.random.Generator, pose: pin.SE3) -> Array | None:
+def configuration_at(rng: np.random.Generator, pose: pin.SE3, robot: str = "panda") -> Array | None:
     """Return a random arm configuration with the tcp at a pose, or none if the attempt fails."""
-    seed = rng.uniform(0.8 * LOWER + 0.2 * UPPER, 0.2 * LOWER + 0.8 * UPPER)
-    found = arm().ik_near(Pose.from_matrix(pose.homogeneous), seed)
-    inside = found.converged and bool(((found.joints >= LOWER) & (found.joints <= UPPER)).all())
+    lower, upper = machine(robot).lower, machine(robot).upper
+    seed = rng.uniform(0.8 * lower + 0.2 * upper, 0.2 * lower + 0.8 * upper)
+    found = arm(robot).ik_near(Pose.from_matrix(pose.homogeneous), seed)
+    inside = found.converged and bool(((found.joints >= lower) & (found.joints <= upper)).all())
     return found.joints if inside else None
 
 
@@ -120,13 +125,13 @@ def free_configuration(
 ) -> Array | None:
     """Return a free configuration at one of some random tcp poses, or none."""
     for _ in range(attempts):
-        joints = configuration_at(rng, draw(rng))
+        joints = configuration_at(rng, draw(rng), referee.machine.name)
         if joints is not None and not referee.collides(joints) and not referee.folds(joints):
             return joints
     return None
 
 
-def tabletop(seed: int, salt: int = 0) -> Problem:
+def tabletop(seed: int, salt: int = 0, robot: str = "panda") -> Problem:
     """Draw a tabletop problem: 3 to 10 boxes, cylinders and spheres on a table; every third with a stick in the hand.
 
     In every second problem the direct joint line collides. A solution exists unless the path is blocked completely.
@@ -134,11 +139,12 @@ def tabletop(seed: int, salt: int = 0) -> Problem:
     Args:
         seed: Number of the problem.
         salt: Selects a set of problems.
+        robot: The arm, one of ``_machines.MACHINES``.
     """
     rng = np.random.default_rng([20260, salt, seed])
     while True:
         solids = [TABLE, *(_on_table(rng) for _ in range(rng.integers(3, 11)))]
-        referee = Referee(solids, STICK if seed % 3 == 0 else None)
+        referee = Referee(solids, STICK if seed % 3 == 0 else None, robot)
         for _ in range(10):
             start, end = (free_configuration(rng, referee, _above_table) for _ in range(2))
             if start is None or end is None:

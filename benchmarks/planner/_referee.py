@@ -1,7 +1,8 @@
-"""Referee for timed motions of the Panda: checks the original collision meshes at a kilohertz, without planner code.
+"""Referee for timed motions: checks the original collision meshes at a kilohertz, without planner code.
 
-Meshes and allowed pairs come from the ``example-robot-data`` wheel, not from this repository. Coal checks collisions of
-the triangles, and of their convex hulls, because triangles alone miss a finger that is completely inside a link.
+Meshes, allowed pairs and limits come from ``_machines.py``, not from this repository's robots. Coal checks collisions
+of the triangles. Triangles alone miss a finger that is completely inside a link, so it also checks the convex hulls
+where links fill them (Panda); other arms cannot get there without crossing triangles, at most 3 mm a sample.
 
 The referee skips only samples that cannot collide, so it is fast and exact: if the convex hulls of the meshes keep a
 distance d, every later sample is free as long as no point of the arm has moved by d.
@@ -11,31 +12,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
-import cmeel
 import coal
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from benchmarks.planner._machines import FINGERS_M, HAND, PACKAGES, Machine, geometry_of, machine, model_of
 
 Array = npt.NDArray[np.float64]
-SOURCE = Path(cmeel.__path__[0]).parent / "cmeel.prefix/share/example-robot-data/robots/panda_description"
-URDF = SOURCE / "urdf/panda.urdf"
-# Franka's limits for the Panda, https://frankaemika.github.io/docs/control_parameters.html
-LOWER = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
-UPPER = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
-VELOCITY = np.array([2.175] * 4 + [2.61] * 3)
-ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
-JERK = 500.0 * ACCELERATION
-HAND = ("panda_hand_0", "panda_leftfinger", "panda_rightfinger")
 PERIOD_S = 0.001
 GOAL_M, GOAL_RAD, GOAL_JOINT_RAD = 1e-3, 1e-2, 1e-3
 START_RAD = 1e-4
 SLACK = 1.001
 """Finite differences of a motion never exceed the maximum of its derivative, so the tolerance covers rounding only."""
 MARGINS_M = (0.03, 0.01, 0.003)
-FINGERS_M = 0.04
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,15 +82,17 @@ class Verdict:
 class Referee:
     """Referee for the robot among solids. The fingers are fully open."""
 
-    def __init__(self, solids: tuple[Solid, ...] | list[Solid], held: Solid | None = None) -> None:
+    def __init__(
+        self, solids: tuple[Solid, ...] | list[Solid], held: Solid | None = None, robot: str = "panda"
+    ) -> None:
         """Build the scene."""
-        self.solids, self.held = tuple(solids), held
-        self._model, meshes, hulls, self._tcp = _robot()
+        self.solids, self.held, self.machine = tuple(solids), held, machine(robot)
+        self._model, meshes, hulls, self._tcp = _robot(robot)
         self._data = self._model.createData()
-        self._exact = _Checker(self._model, self._populate(meshes.copy()), 0.0)
+        self._exact = _Checker(self.machine, self._populate(meshes.copy()), 0.0)
         self._hulls = self._populate(hulls.copy())
         self._guards: dict[float, _Checker] = {}
-        self._reach = _reach(self._hulls)
+        self._reach = _reach(self.machine, self._hulls)
 
     def _populate(self, geometry: pin.GeometryModel) -> pin.GeometryModel:
         own = len(geometry.geometryObjects)
@@ -121,21 +113,21 @@ class Referee:
         return geometry
 
     def collides(self, joints: Array) -> bool:
-        """Return whether an arm configuration of shape (7,) collides, on the original meshes."""
-        return self._exact.hit(joints) or not self.keeps(joints, 0.0)
+        """Return whether an arm configuration of shape (dof,) collides, on the original meshes."""
+        return self._exact.hit(joints) or (self.machine.convex and not self.keeps(joints, 0.0))
 
     def folds(self, joints: Array) -> bool:
-        """Return whether the visual meshes of hand and forearm come within 5 mm; the SRDF disables that pair."""
-        return _folding().hit(joints)
+        """Return whether the visual meshes of hand and forearm come within 5 mm; Panda's SRDF disables that pair."""
+        return self.machine.name == "panda" and _folding().hit(joints)
 
     def keeps(self, joints: Array, distance: float) -> bool:
         """Return whether the hulls of all checked pairs are farther apart than a distance [m]; no false positives."""
         if distance not in self._guards:
-            self._guards[distance] = _Checker(self._model, self._hulls, distance)
+            self._guards[distance] = _Checker(self.machine, self._hulls, distance)
         return not self._guards[distance].hit(joints)
 
     def first_collision(self, path: Array) -> int:
-        """Return the index of the first colliding configuration of a path of shape (N, 7), or -1."""
+        """Return the index of the first colliding configuration of a path of shape (N, dof), or -1."""
         i, level = 0, 0
         while i < len(path):
             while level < len(MARGINS_M) and not self.keeps(path[i], MARGINS_M[level]):
@@ -159,32 +151,33 @@ class Referee:
 
     def tcp(self, joints: Array) -> pin.SE3:
         """Return the tcp's pose in the frame of the base."""
-        pin.forwardKinematics(self._model, self._data, _full(joints))
+        pin.forwardKinematics(self._model, self._data, self.machine.full(joints))
         return pin.updateFramePlacement(self._model, self._data, self._tcp).copy()
 
     def judge(self, positions: Array, duration_s: float, start: Array, goal: pin.SE3 | Array) -> Verdict:
         """Judge a motion.
 
         Args:
-            positions: Samples at 0, 1, 2, ... ms and at the end, shape (N, 7) [rad].
+            positions: Samples at 0, 1, 2, ... ms and at the end, shape (N, dof) [rad].
             duration_s: Time of the last sample [s].
             start: Required start configuration [rad].
             goal: Required tcp pose, or arm configuration [rad], at the end.
         """
-        if positions.ndim != 2 or positions.shape[1] != 7 or not np.isfinite(positions).all():
+        if positions.ndim != 2 or positions.shape[1] != self.machine.dof or not np.isfinite(positions).all():
             return Verdict(faults=(f"positions of shape {positions.shape} or not finite",))
         expected = int(np.ceil(duration_s / PERIOD_S - 1e-6)) + 1
         if abs(len(positions) - expected) > 1:
             return Verdict(faults=(f"{len(positions)} samples in {duration_s:.4f} s, not one per millisecond",))
         faults = list(self._ends(positions, start, goal))
-        if (positions < LOWER - 1e-6).any() or (positions > UPPER + 1e-6).any():
-            beyond = max(float((LOWER - positions).max()), float((positions - UPPER).max()))
+        lower, upper = self.machine.lower, self.machine.upper
+        if (positions < lower - 1e-6).any() or (positions > upper + 1e-6).any():
+            beyond = max(float((lower - positions).max()), float((positions - upper).max()))
             faults.append(f"joint range left by {beyond:.2g} rad")
         hit = self.first_collision(positions)
         if hit >= 0:
             pairs = ", ".join(self._exact.pairs(positions[hit]))
             faults.append(f"collision at {hit * PERIOD_S:.3f} s ({pairs})")
-        return Verdict(faults=tuple(faults), violations=_broken_limits(positions))
+        return Verdict(faults=tuple(faults), violations=_broken_limits(self.machine, positions))
 
     def _ends(self, positions: Array, start: Array, goal: pin.SE3 | Array) -> list[str]:
         found = []
@@ -199,17 +192,18 @@ class Referee:
         elif np.abs(positions[-1] - goal).max() > GOAL_JOINT_RAD:
             found.append(f"goal off by {np.abs(positions[-1] - goal).max():.2g} rad")
         for where, step in (("start", positions[1:2] - positions[:1]), ("end", positions[-1:] - positions[-2:-1])):
-            if (np.abs(step) > 1.1 * ACCELERATION * PERIOD_S**2).any():
+            if (np.abs(step) > 1.1 * self.machine.acceleration * PERIOD_S**2).any():
                 found.append(f"no rest at the {where}")
         return found
 
 
-def _broken_limits(positions: Array) -> tuple[str, ...]:
+def _broken_limits(arm: Machine, positions: Array) -> tuple[str, ...]:
     """Return the violated limits; rest is assumed before and after the motion."""
     rest = np.concatenate([np.repeat(positions[:1], 3, axis=0), positions[:-1]])
     found = []
     rate = rest
-    for order, (name, limit) in enumerate((("velocity", VELOCITY), ("acceleration", ACCELERATION), ("jerk", JERK)), 1):
+    limits = {"velocity": arm.velocity, "acceleration": arm.acceleration, "jerk": arm.jerk}
+    for order, (name, limit) in enumerate(limits.items(), 1):
         rate = np.diff(rate, axis=0) / PERIOD_S
         noise = 2.0**order * 4e-16 * np.pi / PERIOD_S**order
         ratio = (np.abs(rate) - noise) / limit
@@ -222,40 +216,29 @@ def _broken_limits(positions: Array) -> tuple[str, ...]:
 class _Checker:
     """Collision checks of one geometry with one margin."""
 
-    def __init__(self, model: pin.Model, geometry: pin.GeometryModel, margin: float) -> None:
-        self._model, self._geometry = model, geometry
+    def __init__(self, arm: Machine, geometry: pin.GeometryModel, margin: float) -> None:
+        self._machine, self._model, self._geometry = arm, model_of(arm.name), geometry
+        model = self._model
         self._data, self._geometry_data = model.createData(), geometry.createData()
         for request in self._geometry_data.collisionRequests:
             request.security_margin = margin
         self._broad = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(model, geometry, self._geometry_data)
 
     def hit(self, joints: Array) -> bool:
-        return bool(pin.computeCollisions(self._model, self._data, self._broad, _full(joints), True))
+        return bool(pin.computeCollisions(self._model, self._data, self._broad, self._machine.full(joints), True))
 
     def pairs(self, joints: Array) -> list[str]:
-        pin.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, _full(joints), False)
+        full = self._machine.full(joints)
+        pin.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, full, False)
         names = [item.name.removesuffix("_0") for item in self._geometry.geometryObjects]
         touching = zip(self._geometry.collisionPairs, self._geometry_data.collisionResults, strict=True)
         return [f"{names[p.first]}-{names[p.second]}" for p, result in touching if result.isCollision()]
 
 
-def _full(joints: Array) -> Array:
-    return np.concatenate([joints, [FINGERS_M, FINGERS_M]])
-
-
 @cache
-def _robot() -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel, int]:
+def _robot(name: str) -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel, int]:
     """Return the model, its collision meshes, their convex hulls, and the frame of the tcp."""
-    model = pin.buildModelFromUrdf(str(URDF))
-
-    def load() -> pin.GeometryModel:
-        folders = [str(SOURCE.parents[2])]
-        geometry = pin.buildGeomFromUrdf(model, str(URDF), pin.GeometryType.COLLISION, package_dirs=folders)
-        geometry.addAllCollisionPairs()
-        pin.removeCollisionPairs(model, geometry, str(SOURCE / "srdf/panda.srdf"))
-        return geometry
-
-    meshes, hulls = load(), load()
+    model, meshes, hulls = model_of(name), geometry_of(name), geometry_of(name)
     for item in hulls.geometryObjects:
         if isinstance(item.geometry, coal.BVHModelBase):
             item.geometry.buildConvexHull(True, "Qt")
@@ -268,24 +251,23 @@ def _robot() -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel, int]:
 @cache
 def _folding() -> _Checker:
     """Return a checker of the visual meshes of hand and forearm."""
-    model = _robot()[0]
-    folders = [str(SOURCE.parents[2])]
-    drawn = pin.buildGeomFromUrdf(model, str(URDF), pin.GeometryType.VISUAL, package_dirs=folders)
+    arm = machine("panda")
+    drawn = pin.buildGeomFromUrdf(model_of("panda"), str(arm.urdf), pin.GeometryType.VISUAL, package_dirs=PACKAGES)
     pair = (drawn.getGeometryId(name) for name in ("panda_link5_0", "panda_hand_0"))
     drawn.addCollisionPair(pin.CollisionPair(*pair))
-    return _Checker(model, drawn, 0.005)
+    return _Checker(arm, drawn, 0.005)
 
 
-def _reach(geometry: pin.GeometryModel) -> Array:
-    """Bound the distance of the arm's and the held solids' points from each joint's axis, shape (7,) [m]."""
-    model = _robot()[0]
+def _reach(arm: Machine, geometry: pin.GeometryModel) -> Array:
+    """Bound the distance of the arm's and the held solids' points from each joint's axis, shape (dof,) [m]."""
+    model = model_of(arm.name)
     reach = np.zeros(model.njoints)
     for item in geometry.geometryObjects:
         center = item.placement.act(item.geometry.aabb_center)
         far = float(np.linalg.norm(center)) + item.geometry.aabb_radius
         reach[item.parentJoint] = max(reach[item.parentJoint], far)
     for i in range(model.njoints - 1, 0, -1):
-        travel = FINGERS_M if i > 7 else 0.0
+        travel = FINGERS_M if i > arm.dof else 0.0
         offset = float(np.linalg.norm(model.jointPlacements[i].translation)) + travel
         reach[model.parents[i]] = max(reach[model.parents[i]], reach[i] + offset)
-    return np.asarray(reach[1:8])
+    return np.asarray(reach[1 : arm.dof + 1])

@@ -35,6 +35,7 @@ import click
 from benchmarks._harness import Bench
 from benchmarks.planner._abilities import ik_row, load_row, memory_row, retreat_row
 from benchmarks.planner._contenders import OURS, Contender, contenders, our_planner, toppra_measure
+from benchmarks.planner._machines import MACHINES
 from benchmarks.planner._motions import (
     Draw,
     Store,
@@ -48,10 +49,13 @@ from benchmarks.planner._motions import (
 from benchmarks.planner._problem_files import ProblemFileError, load_problems
 
 SECTIONS = ("tabletop", "hard", "ik", "retreat", "memory", "load")
+ANY_ARM = ("tabletop", "ik", "retreat")
+"""Sections for every arm that the referee knows; the others, and the peers, have the Panda's."""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add this benchmark's options."""
+    parser.add_argument("--robot", default="panda", choices=sorted(MACHINES), help="the arm; default: panda")
     parser.add_argument("--rows", help=f"of {','.join(SECTIONS)}; default: all (quick: all but load)")
     parser.add_argument("--seed", type=int, default=0, help="selects a set of problems; default: 0")
     parser.add_argument("--count", type=int, help="tabletop problems; default: 1000 (quick: 30)")
@@ -70,18 +74,23 @@ def main() -> None:
     """Run the benchmark."""
     bench = Bench("planner", __doc__, add_options)
     options = bench.options
-    rows = options.rows.split(",") if options.rows else list(SECTIONS[: -1 if bench.quick else None])
-    if set(rows) - set(SECTIONS):
-        sys.exit(f"--rows: unknown {set(rows) - set(SECTIONS)}; there are {', '.join(SECTIONS)}")
+    panda = options.robot == "panda"
+    sections = SECTIONS if panda else ANY_ARM
+    rows = options.rows.split(",") if options.rows else list(sections[: -1 if bench.quick and panda else None])
+    if set(rows) - set(sections):
+        sys.exit(f"--rows: {options.robot} has no {set(rows) - set(sections)}; it has {', '.join(sections)}")
+    if not panda and options.problems is not None:
+        sys.exit("--problems: files have problems for the Panda; omit --robot")
     store = Store(options.resume)
     until = time.monotonic() + options.stop_after
     headlines: list[tuple[str, float, str, float]] = []
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        asked, missing = contenders([OURS, *filter(None, options.peers.split(","))], folder)
+        peers = filter(None, options.peers.split(",")) if panda else ()
+        asked, missing = contenders([OURS, *peers], folder, options.robot)
         for name in missing:
             click.echo(f"{name} is not installed: `make planner-peers`")
-        measure = toppra_measure()
+        measure = toppra_measure() if panda else None
         for process in (*asked, *([measure] if measure else [])):
             stack.enter_context(process).start()
         sets = Sets(bench, asked, measure, store, until)
@@ -90,7 +99,7 @@ def main() -> None:
             headlines.append((f"valid share of the problems of {options.problems.name}", share, "", 0.999))
             rows = []
         if "tabletop" in rows:
-            draws = tabletop_draws(options.count or (30 if bench.quick else 1000), options.seed)
+            draws = tabletop_draws(options.count or (30 if bench.quick else 1000), options.seed, options.robot)
             headlines.append(("valid share of tabletop problems", sets.run("tabletop", draws, detours=0.5), "", 0.999))
         if "hard" in rows:
             draws = hard_draws(options.hard_count or (1 if bench.quick else 100), options.seed)
@@ -98,11 +107,11 @@ def main() -> None:
             headlines.append(("valid share of hard problems", share, "", 0.995))
         ours = asked[0]
         if "ik" in rows:
-            row = ik_row(ours, 1000 if bench.quick else 10_000, options.seed)
+            row = ik_row(ours, 1000 if bench.quick else 10_000, options.seed, options.robot)
             headlines.append(("share of reachable poses solved", float(row["valid_share"]), "", 1.0))
             bench.row(**row)
         if "retreat" in rows:
-            row = retreat_row(ours, 6 if bench.quick else 200, options.seed)
+            row = retreat_row(ours, 6 if bench.quick else 200, options.seed, options.robot)
             headlines.append(("share of feasible retreats", float(row["valid_share"]), "", 0.95))
             bench.row(**row)
         if "memory" in rows:

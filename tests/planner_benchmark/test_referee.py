@@ -96,23 +96,55 @@ def test_a_goal_missed_by_a_hair_is_caught() -> None:
 
 
 def test_joints_beyond_their_range_and_missing_samples_are_caught() -> None:
-    from benchmarks.planner._referee import UPPER, Referee
+    from benchmarks.planner._machines import machine
+    from benchmarks.planner._referee import Referee
 
     end = END.copy()
-    end[6] = UPPER[6] + 0.01
+    end[6] = machine("panda").upper[6] + 0.01
     assert "joint range left by 0.01 rad" in judge(quintic(START, end), goal=end).faults
     thin = quintic(START, END)[::10]
     assert any("per millisecond" in fault for fault in Referee([]).judge(thin, 2.0, START, END).faults)
 
 
-def test_skipping_what_cannot_collide_misses_nothing() -> None:
+@pytest.mark.parametrize("robot", ["panda", "ur5", "xarm7"])
+def test_skipping_what_cannot_collide_misses_nothing(robot: str) -> None:
     from benchmarks.planner._problems import tabletop
-    from benchmarks.planner._referee import LOWER, UPPER
 
     rng = np.random.default_rng(3)
-    referee = tabletop(0).referee()
+    referee = tabletop(0, robot=robot).referee()
+    arm = referee.machine
     for _ in range(6):
-        ends = rng.uniform(LOWER, UPPER, (2, 7))
+        ends = rng.uniform(arm.lower, arm.upper, (2, arm.dof))
         path = ends[0] + np.linspace(0.0, 1.0, 400)[:, None] * (ends[1] - ends[0])
         expected = next((i for i, q in enumerate(path) if referee.collides(q)), -1)
         assert referee.first_collision(path) == expected
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5", "xarm7"])
+def test_the_makers_description_and_ours_agree_on_the_tool(robot: str) -> None:
+    from benchmarks.planner._problems import arm
+    from benchmarks.planner._referee import Referee
+
+    referee = Referee([], robot=robot)
+    machine = referee.machine
+    for joints in np.random.default_rng(5).uniform(machine.lower, machine.upper, (20, machine.dof)):
+        ours = arm(robot).fk(joints)
+        theirs = referee.tcp(joints)
+        np.testing.assert_allclose(ours.matrix, theirs.homogeneous, atol=1e-6)
+
+
+@pytest.mark.parametrize("robot", ["ur5", "xarm7"])
+def test_mounted_parts_may_touch_and_a_hand_in_the_arm_may_not(robot: str) -> None:
+    from benchmarks.planner._problems import tabletop
+    from benchmarks.planner._referee import Referee
+
+    assert not Referee([], robot=robot).collides(np.array(tabletop(1, robot=robot).start))
+    folded = {"ur5": [0.0, -1.57, 3.0, 0.0, -1.57, 0.0], "xarm7": [2.45, 1.36, -0.13, 0.77, 1.9, 2.77, -1.47]}[robot]
+    assert Referee([], robot=robot).collides(np.array(folded))
+
+
+def test_an_arm_without_a_referee_is_refused_by_name() -> None:
+    from benchmarks.planner._referee import Referee
+
+    with pytest.raises(ValueError, match="no referee for the robot 'gen3'; there is one for panda, ur5, xarm7"):
+        Referee([], robot="gen3")
