@@ -21,6 +21,8 @@ ANY_OBJECT = ("pick_up", "place_on", *RELATIONS, "rotate")
 DRAWERS = ("top", "middle", "bottom")
 ARTICULATED = {"flip_switch": "switch", "turn_knob": "knob", "open_door": "microwave", "close_door": "microwave"}
 """Skills of one object, whose configuration says it all."""
+LONG = ("two_steps", "drawer_chain", "tidy_up")
+"""Tasks of several steps: 2, 2 and 4."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +33,8 @@ class Cell:
     """The skill."""
     thing: str
     """Object or part that the cell is about, e.g. ``apple`` or ``top``."""
-    clutter: int
-    """Distractors."""
+    clutter: int | None
+    """Distractors; none: as many as the task says."""
     core: bool
     """Whether every robot-learning suite has this combination; such cells are measured with more episodes."""
     change: dict[str, Any] = field(default_factory=dict)
@@ -50,13 +52,15 @@ class Cell:
     @property
     def label(self) -> str:
         """Name without the robot."""
-        return f"{self.skill}/{self.thing}/{self.clutter}"
+        name = f"{self.skill}/{self.thing}"
+        return name if self.clutter is None else f"{name}/{self.clutter}"
 
     def config(self) -> str:
         """Return the task configuration as YAML text, with the workspace camera only."""
         plain = yaml.safe_load(task_text(self.task) if self.task else task_text(skill=self.skill))
         cameras = {"reset": {"cameras": {**plain["reset"].get("cameras", {}), "names": ["workspace"]}}}
-        clutter = {"distractors": {"minimum": self.clutter, "maximum": self.clutter}}
+        count = {"minimum": self.clutter, "maximum": self.clutter}
+        clutter = {} if self.clutter is None else {"distractors": count}
         robot = {"robot": self.robot} if self.robot else {}
         return yaml.safe_dump(merged(merged(merged(plain, cameras), clutter), self.change | robot))
 
@@ -64,6 +68,11 @@ class Cell:
 def cells(clutter: int) -> list[Cell]:
     """Return every combination of a skill and an object that the skill applies to."""
     return [Cell(clutter=clutter, **values) for values in (*_core_cells(), *_other_cells())]
+
+
+def long_cells() -> list[Cell]:
+    """Return the shipped tasks of several steps, with their own distractors."""
+    return [Cell(skill="steps", thing=task, clutter=None, core=False, task=task) for task in LONG]
 
 
 def _core_cells() -> Iterator[dict[str, Any]]:

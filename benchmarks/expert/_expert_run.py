@@ -114,7 +114,7 @@ class _Watch:
         """Whether a distractor starts close to the target."""
         assert self.task is not None
         assert self.scene is not None
-        target = self.task.objects["target"].entity
+        target = next(iter(self.task.objects.values())).entity  # the target, or what a longer task names first
         placed = {e.name: replace(self.scene.entity(e.name), pose=e.pose) for e in self.states[0].entities}
         distance = distance_to(placed[target], self.near_config, self.library)
         names = [thing.entity for thing in task_distractors(self.task)]

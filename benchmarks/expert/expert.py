@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from benchmarks._harness import Bench
-from benchmarks.expert._cells import Cell, cells
+from benchmarks.expert._cells import Cell, cells, long_cells
 from benchmarks.expert._kept import Kept
 from tqdm import tqdm
 
@@ -40,8 +40,8 @@ def main() -> None:
     """Measure and print."""
     bench = Bench("expert", __doc__, add_options)
     options = bench.options
-    chosen = [cell for clutter in options.clutter for cell in cells(clutter)]
-    if bench.quick:
+    chosen = long_cells() if options.long else [cell for clutter in options.clutter for cell in cells(clutter)]
+    if bench.quick and not options.long:
         chosen = [cell for cell in chosen if cell.label in QUICK_CELLS]
     if options.cells:
         chosen = [cell for cell in chosen if any(text in cell.name for text in options.cells.split(","))]
@@ -85,6 +85,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--robot", default="", metavar="NAME[,NAME]", help="arms that act, or all (default: each task's own)"
     )
     parser.add_argument("--resets", type=int, default=0, metavar="N", help="per cell (default: 200; 40 for rarer ones)")
+    parser.add_argument("--long", action="store_true", help="the tasks of several steps instead of the cells")
     parser.add_argument("--core", action="store_true", help="only the cells with the most episodes")
     parser.add_argument("--clutter", type=int, nargs="+", default=[3], metavar="N", help="distractors (default: 3)")
     parser.add_argument("--replays", type=float, default=0.1, metavar="SHARE", help="replayed fraction (default: 0.1)")
