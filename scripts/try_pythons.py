@@ -89,7 +89,7 @@ def main() -> int:
             paths = {"PATH": f"{environment.path / 'bin'}:/usr/local/bin:/usr/bin:/bin", **index_settings()}
             if not options.lowest:
                 with step(f"Python {version}: golden hashes"):
-                    arguments = ("-q", "-p", "no:cacheprovider", "tests/test_golden.py")
+                    arguments = ("-q", "-p", "no:cacheprovider", "-m", "not slow", "tests/test_golden.py")
                     run(f"try-{version}-golden", environment.python, "-m", "pytest", *arguments, extra=paths)
             with step(f"Python {version}: smoke demo"), tempfile.TemporaryDirectory() as folder:
                 demo = ("demo", "--smoke", "--out", Path(folder) / "demo")

@@ -49,6 +49,7 @@ def test_the_code_digest_depends_on_the_files(tmp_path, monkeypatch):
     assert _kept.code_digest() != first
 
 
+@pytest.mark.thorough
 def test_an_episodes_figures_are_those_of_its_settled_scene():
     from benchmarks.expert._cells import cells
     from benchmarks.expert._expert_run import ChunkWorker

@@ -167,6 +167,7 @@ def test_a_scene_that_settles_differently_is_replanned(world, generator, expert)
     assert reached[1] - reached[0] == pytest.approx(0.004, abs=1e-4)
 
 
+@pytest.mark.thorough
 def test_the_expert_is_smooth_and_the_same_every_time(world, generator, expert):
     _, drawn = draw(generator, 3)
     hashes = []
@@ -241,6 +242,7 @@ reset:
 """
 
 
+@pytest.mark.thorough
 def test_a_sagging_object_is_carried_as_it_hangs_and_put_down_level(world, generator, expert):
     seed = SeedPath(run_seed=11, purpose="test", index=0)
     drawn = generator.draw(seed, parse_task_config(HEAVY_TRAY))

@@ -31,6 +31,8 @@ EPISODES = {
     "pick_cube_ur5": 0,
 }
 """Episode indices by task; chosen to cover different skills, objects and motions."""
+QUICK = ("pick_cube_distractors", "open_drawer", "put_into")
+"""Those of the default tests."""
 
 
 def episode_hashes(task: str, index: int, folder: Path) -> dict[str, str]:
@@ -71,7 +73,9 @@ def machine() -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("task", EPISODES)
+@pytest.mark.parametrize(
+    "task", [task if task in QUICK else pytest.param(task, marks=pytest.mark.thorough) for task in EPISODES]
+)
 def test_an_episode_is_the_golden_one(task, tmp_path):
     golden = json.loads(GOLDEN.read_text())
     found = episode_hashes(task, EPISODES[task], tmp_path)

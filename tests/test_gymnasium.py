@@ -44,6 +44,7 @@ def test_the_audit_of_benchmarks_finds_nothing():
     assert len(found.passed) == 22
 
 
+@pytest.mark.thorough
 def test_gymnasiums_checker_finds_nothing(env):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

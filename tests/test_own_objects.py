@@ -276,6 +276,7 @@ def test_the_hash_covers_the_files_that_the_yaml_names(library: ModelLibrary, en
     assert library.digest("brick") == before
 
 
+@pytest.mark.thorough
 def test_the_command_line_draws_checks_and_starts_objects(library: ModelLibrary, tmp_path: Path) -> None:
     run = CliRunner()
     out = tmp_path / "sheet.png"

@@ -69,6 +69,7 @@ def replayed(exported, run, sim, number, change=lambda step: step, *, labels=Fal
     return replay_episode(replace(episode, read=read, **fields), bag, sim, labels=labels)
 
 
+@pytest.mark.thorough
 def test_a_trimmed_episode_is_no_failed_replay(run, tmp_path):
     edit = ("trim demo-5-00000-0 0..5",)
     trimmed = export_dataset("rlds", run, tmp_path / "rlds", EXPORTERS["rlds"]().config(where=edit)).path

@@ -131,6 +131,7 @@ def test_cheats_fail_and_say_which_step(tmp_path, name):
     assert (result.reason, result.verdict.reason) == (reason, reason)
 
 
+@pytest.mark.thorough
 def test_a_step_that_is_undone_does_not_count(tmp_path):
     steps = [
         {"skill": "open_drawer", "roles": {"target": "cabinet"}, "parameters": {"drawer": "top"}},
@@ -151,6 +152,7 @@ def test_a_step_that_is_undone_does_not_count(tmp_path):
     assert result.verdict.predicates["steps_share"] == 0.5
 
 
+@pytest.mark.thorough
 def test_any_order_counts_in_any_order(tmp_path):
     (result,) = play(tmp_path, "two_steps", lambda task: made_of(task, *reversed(steps_of(task))), order="any")
     assert result.outcome == "success"

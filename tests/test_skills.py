@@ -63,6 +63,7 @@ def test_the_expert_solves_it_at_its_first_try_and_the_bag_agrees(skill, run, fo
     assert again.success
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("skill", SKILL_NAMES)
 def test_doing_nothing_does_not_solve_it(skill, run):
     result = run(skill, 1, lambda _: CoreActor(ZeroPolicy()), keep="none", max_steps=10, settle_ticks=5)

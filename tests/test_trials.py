@@ -45,6 +45,7 @@ def test_a_skill_without_trials_is_named(monkeypatch):
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("key", ATTACK)
 def test_known_cheats_and_honest_solutions_are_judged_correctly(runs, key):
     outcome = runs.run(TRIALS[key], 0)

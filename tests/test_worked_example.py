@@ -64,6 +64,7 @@ def test_the_example_is_short() -> None:
     assert sum(len(text.splitlines()) + 1 for text in FILES.values()) < 100
 
 
+@pytest.mark.thorough
 def test_the_expert_solves_the_new_skill_and_doing_nothing_does_not(kitchen: Path, tmp_path: Path) -> None:
     assert check("pepper_mill", ModelLibrary()) == []
     data = yaml.safe_load(task_text(skill="shake"))

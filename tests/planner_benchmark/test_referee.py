@@ -106,6 +106,7 @@ def test_joints_beyond_their_range_and_missing_samples_are_caught() -> None:
     assert any("per millisecond" in fault for fault in Referee([]).judge(thin, 2.0, START, END).faults)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("robot", ["panda", "ur5", "xarm7"])
 def test_skipping_what_cannot_collide_misses_nothing(robot: str) -> None:
     from benchmarks.planner._problems import tabletop

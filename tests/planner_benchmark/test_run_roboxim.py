@@ -32,6 +32,7 @@ def verdict_on(problem: Any, motion: tuple[np.ndarray, float]) -> Any:
     return problem.referee().judge(*motion, np.array(problem.start), problem.goal_value)
 
 
+@pytest.mark.thorough
 def test_the_planners_motions_are_clean(ours) -> None:
     from benchmarks.planner._problems import tabletop
     from benchmarks.planner._problems_hard import FAMILIES, hard

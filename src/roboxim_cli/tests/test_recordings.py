@@ -64,6 +64,7 @@ def test_bag_is_described_checked_played_and_replayed(runtime, graph, tmp_path):
         assert heard == list(range(23))
 
 
+@pytest.mark.thorough
 def test_damaged_bag_is_named_and_repaired(runtime, graph, tmp_path):
     bag = record(graph, tmp_path / "run", seed=7)
     damaged = tmp_path / "damaged"
@@ -85,6 +86,7 @@ def test_damaged_bag_is_named_and_repaired(runtime, graph, tmp_path):
     assert CliRunner().invoke(group, ["bag", "repair", str(damaged)]).exit_code == 2
 
 
+@pytest.mark.thorough
 def test_a_driven_graph_is_recorded_with_topics_of_other_nodes_and_played(runtime, graph, tmp_path):
     out = tmp_path / "driven"
     with register_run("up", domain=graph.host.context.get_domain_id()), graph.clients() as clients:

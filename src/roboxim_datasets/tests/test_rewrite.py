@@ -101,6 +101,7 @@ def test_a_divided_dataset_is_written_as_its_source_is(tmp_path, write, descript
         assert "motion" in json.loads((written.path / "meta/modality.json").read_text())["action"]
 
 
+@pytest.mark.thorough
 def test_a_key_survives_a_conversion(tmp_path, write, description):
     about = replace(description, features=replace(description.features, keys={"workspace": "front"}))
     for key, source in (("front", about), ("image", description)):

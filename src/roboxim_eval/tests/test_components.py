@@ -111,6 +111,7 @@ def laptop():
     return experiment_config(load_yaml(named_config("experiments", "skill_object")), scale="laptop")
 
 
+@pytest.mark.thorough
 def test_a_budget_buys_more_trainings_than_the_shipped_scale_and_costs_no_more():
     config = laptop()
     before, found = allocation_of(config, RATES, PARTS), allocated(config, RATES, PARTS, BUDGET_S)

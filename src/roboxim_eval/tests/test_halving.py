@@ -52,6 +52,7 @@ def test_the_first_named_wins_among_equals():
     assert choice.winner == "b"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("rates", "bias", "regret"),
     [

@@ -129,6 +129,7 @@ def test_two_scales_of_an_experiment_are_compared_in_the_cells_that_both_have():
     assert all(sentence in page for sentence in found.circumstances)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["robustness", "camera_object", "triple", "zero_shot"])
 def test_all_scales_of_a_shipped_experiment_can_be_compared(name):
     data = load_yaml(named_config("experiments", name))

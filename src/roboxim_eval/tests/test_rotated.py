@@ -150,6 +150,7 @@ def cases():
             for rates in RATES for spread in SPREADS]  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rates", [(0.85, 0.85), (0.96, 0.8)])
 def test_intervals_hold_in_some_simulated_experiments(rates):
     found = coverage(rates, 0.1, DESIGNS[0], unequal=True, experiments=150)

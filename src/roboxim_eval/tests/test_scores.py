@@ -69,6 +69,7 @@ def test_equal_conditions_seldom_differ_although_trainings_do(replicates):
     assert pooled / 1000 > 0.10, "rollouts pooled over trainings find differences between equal conditions"
 
 
+@pytest.mark.thorough
 def test_a_policy_that_is_equally_good_everywhere_is_not_called_worse():
     rng = np.random.default_rng(0)
     kinds = [
@@ -357,6 +358,7 @@ def test_cells_weigh_alike_over_trainings_but_scenes_are_the_sample_of_one():
     assert condition_difference(three, three, [pairs] * 3).pairs is None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("shared", "planned"), [(True, 0.26), (False, 0.30)])
 def test_the_same_checkpoints_show_smaller_differences(shared, planned):
     size = Design(replicates=3, scenes=50, other_scenes=0 if shared else 50, same_checkpoints=True)

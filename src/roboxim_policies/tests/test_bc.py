@@ -108,6 +108,7 @@ def test_what_never_moves_stays_exactly_still(trained):
     assert action[6] in (0.0, 1.0)
 
 
+@pytest.mark.thorough
 def test_it_describes_what_it_was_trained_on(trained):
     description = LearnedPolicy(trained[0], execute=3).describe()
     assert [(c.name, c.width, c.height) for c in description.cameras] == [("workspace", 32, 32), ("wrist", 16, 16)]
@@ -120,6 +121,7 @@ def test_it_describes_what_it_was_trained_on(trained):
         LearnedPolicy(trained[0], execute=5)
 
 
+@pytest.mark.thorough
 def test_an_interrupted_training_ends_in_the_same_bits(trained, tmp_path):
     class Interrupt(KeyboardInterrupt):
         pass
@@ -138,6 +140,7 @@ def test_an_interrupted_training_ends_in_the_same_bits(trained, tmp_path):
     assert all(np.array_equal(a, b) for a, b in zip(whole.arrays, parts.arrays, strict=True))
 
 
+@pytest.mark.thorough
 def test_another_configuration_or_data_set_is_not_resumed(trained):
     with pytest.raises(ConfigError, match=r"of another configuration \(seed: 0 stored, 1 requested\); choose"):
         Trainer(data(), replace(CONFIG, seed=1), trained[0])
@@ -147,6 +150,7 @@ def test_another_configuration_or_data_set_is_not_resumed(trained):
         Trainer(data(), CONFIG, trained[0], resume=False)
 
 
+@pytest.mark.thorough
 def test_a_failed_write_leaves_the_old_checkpoint_whole(trained, tmp_path, monkeypatch):
     trainer = Trainer(data(), CONFIG, tmp_path)
     trainer.run(until=10)
@@ -162,6 +166,7 @@ def test_a_failed_write_leaves_the_old_checkpoint_whole(trained, tmp_path, monke
     assert load_checkpoint(tmp_path).step == 10
 
 
+@pytest.mark.thorough
 def test_a_damaged_checkpoint_is_refused_by_name(trained, tmp_path):
     whole = (trained[0] / "checkpoint.npz").read_bytes()
     (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
@@ -171,6 +176,7 @@ def test_a_damaged_checkpoint_is_refused_by_name(trained, tmp_path):
         LearnedPolicy(tmp_path / "absent")
 
 
+@pytest.mark.thorough
 def test_a_copy_without_the_state_of_the_training_acts_the_same(trained, tmp_path):
     whole = trained[0] / "checkpoint.npz"
     short = tmp_path / "checkpoint.npz"
@@ -193,6 +199,7 @@ def test_a_copy_without_the_state_of_the_training_acts_the_same(trained, tmp_pat
         policy_only(short)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("steps", "said"), [(300, "has all its steps"), (10, "cannot continue")])
 def test_no_training_continues_from_such_a_copy(trained, tmp_path, steps, said):
     whole = Trainer(data(), CONFIG, tmp_path / "whole").run(until=steps) if steps < CONFIG.steps else trained[0]
@@ -209,6 +216,7 @@ def test_no_training_continues_from_such_a_copy(trained, tmp_path, steps, said):
     assert short.read_bytes() == before
 
 
+@pytest.mark.thorough
 def test_weights_that_are_not_those_of_the_description_are_not_copied(trained, tmp_path):
     with np.load(trained[0] / "checkpoint.npz") as archive:
         content = dict(archive)
@@ -230,6 +238,7 @@ def test_words_and_yaw_are_read_as_meant():
     assert proprio_features(eighth.vector()) == pytest.approx([0, 0, 0, 0.5, 1, 0, 0, 0], abs=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("changed", "said"),
     [({"format": 1}, r"old\.npz was trained on proprioception of the old layout.*train again"),

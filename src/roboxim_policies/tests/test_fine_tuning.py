@@ -45,6 +45,7 @@ def test_it_begins_with_the_weights_of_the_checkpoint_and_names_it(start, tmp_pa
     assert LearnedPolicy(tmp_path).version == f"step 4, {tuned.digest}, fine-tuned from {start.digest}"
 
 
+@pytest.mark.thorough
 def test_an_interrupted_fine_tuning_continues_and_another_start_is_another_training(start, tmp_path):
     Trainer(data(4), SHORT, tmp_path / "whole", start=start).run()
     Trainer(data(4), SHORT, tmp_path / "parts", start=start).run(until=2)
@@ -57,6 +58,7 @@ def test_an_interrupted_fine_tuning_continues_and_another_start_is_another_train
         Trainer(data(4), SHORT, tmp_path / "parts")
 
 
+@pytest.mark.thorough
 def test_a_packed_checkpoint_is_enough_and_its_exposure_is_handed_on(start, tmp_path):
     Trainer(data(4), SHORT, tmp_path / "base").run()
     packed = tmp_path / "packed.npz"
@@ -66,6 +68,7 @@ def test_a_packed_checkpoint_is_enough_and_its_exposure_is_handed_on(start, tmp_
     assert told["pretraining"] == {"name": "mine", "exposure": {"episodes": 4}}
 
 
+@pytest.mark.thorough
 def test_words_that_both_know_keep_their_embeddings(start):
     other = reworded(data(4), "red", "scarlet")
     weights = carried_weights(start, SHORT, other)
@@ -73,6 +76,7 @@ def test_words_that_both_know_keep_their_embeddings(start):
     assert len(changed) == SHORT.word_size  # of the one word that is new
 
 
+@pytest.mark.thorough
 def test_a_motion_that_the_checkpoint_never_saw_has_the_scale_of_the_data(start):
     shown = data(4)
     shown.actions[:, 2] = 0.01
@@ -83,6 +87,7 @@ def test_a_motion_that_the_checkpoint_never_saw_has_the_scale_of_the_data(start)
     assert np.array_equal(carried.motion_scale[:2], start.stats.motion_scale[:2])
 
 
+@pytest.mark.thorough
 def test_another_shape_family_camera_or_meaning_is_refused_by_name(start, tmp_path):
     with pytest.raises(ConfigError, match=r"another shape \(channels: 8 stored, 16 requested\)"):
         Trainer(data(4), replace(SHORT, channels=16), tmp_path, start=start)

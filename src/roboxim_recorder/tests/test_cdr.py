@@ -53,6 +53,7 @@ def number(slot, draw):
     return draw(st.integers(1, 100))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=25, deadline=None)
 @given(data=st.data())

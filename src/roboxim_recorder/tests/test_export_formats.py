@@ -81,6 +81,7 @@ def test_a_dataset_holds_what_the_bags_hold(case, run, tmp_path, fake):
             assert step.reward == float(step.index == bag.steps - 1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", ["lerobot 3.0", "hdf5", "video 3.0", "video 2.1"])
 def test_two_exports_are_the_same_bytes_and_an_interrupted_one_goes_on(case, run, tmp_path):
     name, own = FORMATS[case]

@@ -72,6 +72,7 @@ def run(tmp_path, fake):
     return tmp_path / "run"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", WAYS)
 def test_a_bag_written_again_is_whole_for_every_reader(run, tmp_path, way):
     [bag] = (run / "episodes").iterdir()

@@ -70,6 +70,7 @@ def test_numbers_of_joints_that_differ_are_refused_by_the_names_of_the_robots(op
         export(run, tmp_path / "out", "rlds", **options)
 
 
+@pytest.mark.thorough
 def test_processes_write_the_same_bytes(run, tmp_path):
     config = EXPORTERS["rlds"]().config(encoding="png")
     one, two = (export_bags("rlds", run, tmp_path / str(n), config, workers=n).path for n in (1, 2))

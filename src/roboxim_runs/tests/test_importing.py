@@ -137,6 +137,7 @@ def test_the_command_imports_what_it_can_and_tells_of_the_rest(tmp_path):
     assert "exists; --again" in again.output
 
 
+@pytest.mark.thorough
 def test_an_object_that_hides_a_built_in_one_says_so(tmp_path):
     file = exported(trimesh.creation.box((0.05, 0.05, 0.05)), tmp_path / "cube.stl")
     made = import_mesh(file, tmp_path / "objects", ImportOptions(grasps=1))

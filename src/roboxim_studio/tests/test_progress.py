@@ -75,6 +75,7 @@ def test_a_run_that_cannot_be_read_is_named(begun):
         assert "is damaged" in studio.files.progress._facts.content
 
 
+@pytest.mark.thorough
 def test_a_folder_that_is_gone_for_a_while_is_followed_again(begun, tmp_path):
     folder, drive = begun
     with Studio() as studio:

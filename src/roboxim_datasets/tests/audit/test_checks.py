@@ -393,6 +393,7 @@ def test_noise_of_two_ticks_moves_position_and_rotation() -> None:
     assert not found("labels", relabelled(audited.episode(), labels))
 
 
+@pytest.mark.thorough
 def test_an_arm_that_a_contact_pushes_aside_for_a_tick_is_a_warning() -> None:
     others = [audited.episode(seed) for seed in range(1, 12)]
     for push, faulty in ((0.003, ()), (0.02, ("e0",))):
@@ -419,6 +420,7 @@ def test_an_arm_whose_joint_is_as_fast_as_it_can_falls_behind_and_catches_up() -
         assert found("motion", AuditEpisode(name="e0", split="", episode=episode, arm=arm), *others) == faulty
 
 
+@pytest.mark.thorough
 def test_a_jolt_of_an_arm_whose_joint_is_at_its_position_limit_is_a_warning() -> None:
     others = [audited.episode(seed) for seed in range(1, 12)]
     place, joints = audited.arrays(0)["tcp_position"].copy(), audited.arrays(0)["joint_positions"].copy()

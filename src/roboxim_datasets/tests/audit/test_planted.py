@@ -62,6 +62,7 @@ def test_there_is_nothing_to_find_before(pool: list[AuditEpisode]) -> None:
     assert [finding.text for _, finding in audit(pool[:20]).findings()] == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rate", [pytest.param(0.01, marks=pytest.mark.slow), 0.1, 1.0])
 @pytest.mark.parametrize("name", sorted(set(DATASET_FAULTS) - NEEDS_SIMULATOR))
 def test_every_planted_fault_is_found_and_nothing_else(name: str, rate: float, pool: list[AuditEpisode]) -> None:

@@ -54,6 +54,7 @@ def test_every_array_of_an_hdf5_file_is_accounted_for(demos: list[dict[str, tupl
         assert read == sum(p.count for p in dataset.account.parts if (p.name, p.treatment) == ("actions", "read"))
 
 
+@pytest.mark.thorough
 @FAST
 @given(st.lists(st.integers(0, EPISODES), min_size=EPISODES * STEPS, max_size=EPISODES * STEPS), st.text(max_size=8))
 def test_every_row_and_column_of_a_lerobot_dataset_is_accounted_for(episodes: list[int], split: str) -> None:

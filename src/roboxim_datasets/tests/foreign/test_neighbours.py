@@ -92,6 +92,7 @@ def test_a_picture_is_not_turned_by_what_its_camera_notes() -> None:
     assert colour_picture(out.getvalue(), ImageSize(height=8, width=12)).shape == (8, 12, 3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["?", "f4", "u1"])
 @pytest.mark.parametrize("target", ["hdf5", "rlds", "lerobot"])
 def test_success_of_each_step_is_that_of_the_last_one(tmp_path: Path, kind: str, target: str) -> None:

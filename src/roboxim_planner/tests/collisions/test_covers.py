@@ -11,6 +11,7 @@ def covered(points: np.ndarray, spheres: np.ndarray) -> bool:
     return bool((apart.min(axis=1) <= 1e-9).all())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(5))
 def test_spheres_cover_a_hull_and_do_not_bulge(seed: int) -> None:
     rng = np.random.default_rng(seed)

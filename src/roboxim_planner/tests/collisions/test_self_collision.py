@@ -57,6 +57,7 @@ class Published:
         return bool(pin.computeCollisions(self._model, self._data, self._broad, full, True))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("robot_id", FOLDERS)
 def test_self_collision_is_that_of_the_published_meshes(robot_id: str) -> None:
     """No state that touches is called free, and hardly one that touches nothing is refused; close pairs apart."""

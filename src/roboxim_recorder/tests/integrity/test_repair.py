@@ -318,6 +318,7 @@ def require_repaired_as_promised(seed: int, whole: Path, folder: Path) -> None:
     shutil.rmtree(bag.parent)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(24))
 def test_random_damage_loses_no_whole_tick_before_the_gap_and_makes_no_wrong_one(seed, short, tmp_path):
     require_repaired_as_promised(seed, short, tmp_path)

@@ -147,6 +147,7 @@ def test_cards_that_do_not_belong_to_a_benchmark_are_refused(planted_benchmark, 
         run_benchmark(BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "whole", cards=(card,)))
 
 
+@pytest.mark.thorough
 def test_policies_of_a_benchmark_are_named_with_their_experiment(planted_benchmark, tmp_path):
 
     file, calls = planted_benchmark

@@ -49,6 +49,7 @@ def test_two_commands_do_not_write_one_folder(fakes, config, tmp_path):
     assert fakes.calls == []
 
 
+@pytest.mark.thorough
 def test_an_interrupted_experiment_continues_and_ends_with_the_same_card(fakes, config, tmp_path):
     whole = run_experiment(config(out=tmp_path / "whole")).card.sha256
     fakes.fail_at, fakes.calls = "baseline.1", []
@@ -107,6 +108,7 @@ def test_a_changed_policy_file_is_refused_by_name(fakes, config, tmp_path, monke
         run_experiment(config(text, policies=named_policies([f"a={policy}:Mine", "b=random"])))
 
 
+@pytest.mark.thorough
 def test_what_a_pack_leaves_out_runs_again_if_it_is_read(fakes, config, tmp_path):
     fakes.fail_at = "baseline.1"
     with pytest.raises(RoboximError, match="switched off"):
@@ -128,6 +130,7 @@ def test_what_a_pack_leaves_out_runs_again_if_it_is_read(fakes, config, tmp_path
     assert fakes.calls == [], "nothing reads them any more"
 
 
+@pytest.mark.thorough
 def test_trainings_that_are_added_after_results_were_seen_are_stated(fakes, config, experiment):
     first = run_experiment(config()).card
     assert not [text for text in first.statements if "after results were seen" in text]
@@ -164,6 +167,7 @@ def older(out):
     (out / "stages.jsonl").write_text("\n".join(texts) + "\n")
 
 
+@pytest.mark.thorough
 def test_another_renderer_is_a_changed_input(fakes, config, tmp_path):
     said = (
         'stage \'generate/0\' was finished with other inputs .renderer: "raster" stored, "tiny" requested.*--renderer'
@@ -180,6 +184,7 @@ def test_another_renderer_is_a_changed_input(fakes, config, tmp_path):
     assert (card.environment.renderer, differing(card)) == ("raster", [])
 
 
+@pytest.mark.thorough
 def test_stages_that_draw_nothing_do_not_need_the_renderer_s_name(fakes, config, tmp_path):
     run_experiment(config(renderer="tiny"))
     again = run_experiment(config(only=("export", "train")))
@@ -187,6 +192,7 @@ def test_stages_that_draw_nothing_do_not_need_the_renderer_s_name(fakes, config,
     assert json.loads((tmp_path / "out/experiment.json").read_text())["renderer"] == "tiny"
 
 
+@pytest.mark.thorough
 def test_a_folder_of_an_older_version_keeps_its_renderer_and_its_card(fakes, config, at, tmp_path):
     at("a")
     card = run_experiment(config(renderer="tiny")).card
@@ -202,6 +208,7 @@ def test_a_folder_of_an_older_version_keeps_its_renderer_and_its_card(fakes, con
         run_experiment(config(renderer="tiny"))
 
 
+@pytest.mark.thorough
 def test_a_finished_run_keeps_its_card_after_a_commit_and_on_another_machine(fakes, config, at, monkeypatch):
     at("a")
     card = run_experiment(config()).card
@@ -215,6 +222,7 @@ def test_a_finished_run_keeps_its_card_after_a_commit_and_on_another_machine(fak
     assert differing(again) == []
 
 
+@pytest.mark.thorough
 def test_a_card_names_the_versions_of_the_code_that_its_stages_ran_with(fakes, config, experiment, at, tmp_path):
     at("a")
     fakes.fail_at = "leave_out.0"
@@ -238,6 +246,7 @@ def test_a_card_names_the_versions_of_the_code_that_its_stages_ran_with(fakes, c
     assert "2 versions of the code: unknown (generate/0 and " in differing(more)[0]
 
 
+@pytest.mark.thorough
 def test_a_card_names_the_machines_that_its_stages_ran_on(fakes, config, monkeypatch):
     monkeypatch.setattr(experiment_provenance, "device", lambda: "AMD EPYC, NVIDIA H100")
     run_experiment(config(only=("generate", "export", "train")))
@@ -358,6 +367,7 @@ def test_an_episode_without_proof_is_none_of_its_cell(fakes, config, experiment)
         run_experiment(config(experiment.replace("count: 3", "count: 4")))
 
 
+@pytest.mark.thorough
 def test_tolerated_faults_are_named_with_bag_and_figure(fakes, config, experiment, tmp_path):
     out = tmp_path / "out"
     bags = [f"evaluate/baseline.0/baseline/episodes/eval-{number}" for number in range(7)]

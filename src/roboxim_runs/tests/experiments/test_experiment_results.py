@@ -62,6 +62,7 @@ def test_a_folder_receives_a_card_and_a_page(tmp_path):
     assert {e.cell for e in episodes if e.arm == "blind"} == {"pick_up target=cube", "place_on target=soda_can"}
 
 
+@pytest.mark.thorough
 def test_card_and_page_have_the_measures_beside_success_of_tasks_with_limits(tmp_path):
     measures = {"limits.force_max_n": 30.0, "limits.keep_out_s": 0.2, "limits.crossed": 2.0}
     folder = planted_folder(tmp_path / "limited", PLANTED_RATES, predicates=measures)

@@ -35,6 +35,7 @@ def seeds_of(card):
     return {row.seed for row in card.evaluations}
 
 
+@pytest.mark.thorough
 def test_public_scenes_keep_their_seeds_and_fresh_ones_have_one_seed_for_all_calls(fakes, config, tmp_path):
     public = run_experiment(config())
     assert seeds_of(public.card) == {2000}
@@ -81,6 +82,7 @@ def test_a_seed_that_is_drawn_after_trainings_is_said_to_be(fakes, config, tmp_p
     assert "drawn after 2 of 2 trainings were finished" in committed_text(card)
 
 
+@pytest.mark.thorough
 def test_a_policy_that_is_better_in_the_public_scenes_is_named(fakes, config, tmp_path):
     public = run_experiment(config(out=tmp_path / "public")).card
     calls = len(fakes.calls)

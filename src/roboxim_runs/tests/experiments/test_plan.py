@@ -223,6 +223,7 @@ def test_a_report_is_printed_as_json():
     assert "SD 5.4 points between trainings" in text
 
 
+@pytest.mark.thorough
 def test_a_rotated_design_is_written_as_a_benchmark_and_planned(tmp_path, monkeypatch):
     words = ["rotate", "skill_object", "--scale", "laptop", "--sets", "3", "--held-out", "6", "--out", str(tmp_path)]
     written = CliRunner().invoke(command, words, catch_exceptions=False)

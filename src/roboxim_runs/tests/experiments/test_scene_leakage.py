@@ -48,6 +48,7 @@ def test_scenes_tell_object_and_task_where_words_are_not_needed(name):
     assert scene_leakage(shipped(name)) == TOLD[name]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "scale", "said"),
     [

@@ -91,6 +91,7 @@ JOBS: dict[str, tuple[Callable[[Path], object], Callable[[Path, Path], object]]]
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP])
 @pytest.mark.parametrize("name", JOBS)
 def test_the_same_command_ends_a_killed_one_with_the_same_bytes(tmp_path: Path, name: str, blow: int) -> None:

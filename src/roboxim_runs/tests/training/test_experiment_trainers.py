@@ -71,6 +71,7 @@ def test_a_trainer_of_a_file_gets_its_format_and_its_policy_its_checkpoint(
     assert check_card(result.card.plain) == result.card, "the card holds the trainer"
 
 
+@pytest.mark.thorough
 def test_a_server_of_something_else_is_not_measured(fakes, config, lerobot_trainer, tmp_path):
     file, port = lerobot_trainer
     with socket.create_server(("127.0.0.1", port)), pytest.raises(RoboximError, match="answers at .* already"):
