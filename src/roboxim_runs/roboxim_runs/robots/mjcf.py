@@ -58,6 +58,8 @@ class _Reader:
     root: Element
     path: Path
     made: Element = field(init=False)
+    _drawn: list[tuple[Element, Element, int, bool]] = field(init=False, default_factory=list)
+    """Link, visual element, group, and whether the geom also touches, of each geom that MuJoCo's viewer shows."""
 
     def __post_init__(self) -> None:
         for tag, cure in _REFUSED.items():
@@ -101,10 +103,17 @@ class _Reader:
         return self._classes[name].get(element.tag, {}) | element.attrib
 
     def _motor_efforts(self) -> Iterator[tuple[str, float]]:
+        """Yield driven joints and the largest torque [N m] or force [N] that their actuators state."""
         for actuator in self.root.iterfind("actuator/*"):
             given = self._full(actuator, "main")
-            if "joint" in given and "forcerange" in given:
-                yield given["joint"], max(map(abs, _numbers(given, "forcerange", 2)))
+            kinds = ("force", "ctrl") if actuator.tag == "motor" else ("force",)  # a motor's control is its force
+            stated = [
+                max(map(abs, _numbers(given, f"{kind}range", 2)))
+                for kind in kinds
+                if f"{kind}range" in given and given.get(f"{kind}limited") != "false"
+            ]
+            if "joint" in given and stated:
+                yield given["joint"], min(stated) * abs(_numbers(given, "gear", 1, 6, default="1")[0])
 
     def urdf(self) -> Element:
         world = self.root.find("worldbody")
@@ -112,10 +121,21 @@ class _Reader:
         if len(bodies) != 1:
             raise ConfigError(f"{self.path}: expected one <body> in <worldbody>, found {len(bodies)}")
         self._body(bodies[0], "", "main")
+        self._leave_out_what_only_touches()
         joints = {str(joint.get("name")): joint for joint in self.made.findall("joint")}
         for equality in self.root.iterfind("equality/joint"):
             self._mimic(equality, joints)
         return self.made
+
+    def _leave_out_what_only_touches(self) -> None:
+        """Remove visual elements of the groups that hold no geom which is only to be seen, if others do.
+
+        Some models have shapes for contacts in a group that MuJoCo's viewer shows, e.g. those of robosuite in group 0.
+        """
+        to_see = {group for _, _, group, touches in self._drawn if not touches}
+        for link, shape, group, _ in self._drawn:
+            if to_see and group not in to_see:
+                link.remove(shape)
 
     def _body(self, body: Element, parent: str, inherited: str) -> None:
         name = body.get("name")
@@ -169,14 +189,18 @@ class _Reader:
 
     def _geom(self, geom: Element, link: Element, inherited: str) -> None:
         given = self._full(geom, inherited)
-        seen = _numbers(given, "group", 1, default="0")[0] in VISIBLE_GROUPS
+        group = int(_numbers(given, "group", 1, default="0")[0])
+        seen = group in VISIBLE_GROUPS
         touched = given.get("contype", "1") != "0" or given.get("conaffinity", "1") != "0"
         for tag in (*(("visual",) if seen else ()), *(("collision",) if touched else ())):
             shape = ElementTree.SubElement(link, tag)
             shape.append(_origin(*self._pose(geom, given)))
             ElementTree.SubElement(shape, "geometry").append(self._shape(given))
+            if tag == "collision":
+                continue
+            self._drawn.append((link, shape, group, touched))
             color = given.get("rgba") or self._colors.get(given.get("material", ""))
-            if tag == "visual" and color:
+            if color:
                 _numbers({"rgba": color}, "rgba", 4)
                 material = ElementTree.SubElement(shape, "material", {"name": ""})
                 ElementTree.SubElement(material, "color", {"rgba": color})

@@ -14,7 +14,7 @@ from roboxim_runs.robots.reading import expanded
 ARM = """<mujoco model="small">
   <compiler angle="{angle}" meshdir="meshes"/>
   <default><geom contype="0" conaffinity="0" group="1"/>
-    <default class="touch"><geom type="box" contype="1" conaffinity="1" group="3"/></default>
+    <default class="touch"><geom type="box" contype="1" conaffinity="1" group="{shown}"/></default>
     <default class="lift"><joint axis="0 1 0" range="{range}"/></default>
   </default>
   <asset><material name="red" rgba="1 0 0 1"/><mesh name="plate" file="plate.stl" scale="0.001 0.001 0.001"/></asset>
@@ -39,7 +39,7 @@ ARM = """<mujoco model="small">
   <equality><joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/></equality>
   <actuator><position joint="shoulder" forcerange="-27 27"/></actuator>
 </mujoco>"""
-RADIANS = {"angle": "radian", "turn": "0.5", "range": "-1.5 1.5"}
+RADIANS = {"angle": "radian", "turn": "0.5", "range": "-1.5 1.5", "shown": "3"}
 
 
 def written(folder: Path, *, more: str = "", **values: str) -> Path:
@@ -72,6 +72,31 @@ def test_bodies_become_links_and_defaults_apply(tmp_path: Path) -> None:
     assert base.find("visual/material/color").get("rgba") == "1 0 0 1"
     assert [shape.get("size") for shape in base.findall("collision/geometry/box")] == ["0.2 0.2 0.1"]
     assert len(base.findall("visual")) == 1, "a geom of group 3 is not seen"
+
+
+def test_shapes_for_contacts_are_not_drawn_over_those_to_be_seen(tmp_path: Path) -> None:
+    base = expanded(written(tmp_path, more="", shown="0")).find("link[@name='base']")
+    assert [shape.find("geometry")[0].tag for shape in base.findall("visual")] == ["mesh"]
+    assert len(base.findall("collision")) == 1
+    path = tmp_path / "small.xml"
+    path.write_text(path.read_text().replace('<geom contype="0" conaffinity="0" group="1"/>', ""))
+    assert len(expanded(path).findall("link[@name='base']/visual")) == 2, "all touch: all are seen"
+
+
+@pytest.mark.parametrize(
+    ("actuator", "effort"),
+    [
+        ('<motor joint="shoulder" ctrlrange="-80 80"/>', "80"),
+        ('<motor joint="shoulder" ctrlrange="-1 1" gear="40"/>', "40"),
+        ('<motor joint="shoulder" ctrlrange="-80 80" forcerange="-60 50"/>', "60"),
+        ('<motor joint="shoulder" ctrlrange="-80 80" ctrllimited="false"/>', "0"),
+        ('<position joint="shoulder" ctrlrange="-1.5 1.5"/>', "0"),
+    ],
+)
+def test_torques_are_those_of_the_actuators(tmp_path: Path, actuator: str, effort: str) -> None:
+    path = written(tmp_path)
+    path.write_text(path.read_text().replace('<position joint="shoulder" forcerange="-27 27"/>', actuator))
+    assert joint(expanded(path), "shoulder").find("limit").get("effort") == effort
 
 
 def test_it_moves_and_weighs_as_the_mjcf_says(tmp_path: Path) -> None:
