@@ -1,4 +1,4 @@
-"""Make a robot from a URDF, check it, draw it."""
+"""Make a robot from a URDF or an MJCF, check it, draw it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from roboxim_cli.options import option, parse_size
 
 @strict.group()
 def command() -> None:
-    """Make a robot from a URDF, check it, draw it."""
+    """Make a robot from a URDF or an MJCF, check it, draw it."""
 
 
 def _numbers(ctx: click.Context, param: click.Parameter, text: str) -> tuple[float, ...]:
@@ -24,21 +24,31 @@ def _numbers(ctx: click.Context, param: click.Parameter, text: str) -> tuple[flo
         raise click.BadParameter(f"expected numbers such as 1.5 or 1.5,1.5,2, got '{text}'") from None
 
 
+def _names(ctx: click.Context, param: click.Parameter, text: str) -> tuple[str, ...]:
+    return tuple(text.replace(",", " ").split())
+
+
 @command.command("new", begins="making the robot")
 @click.argument("source", type=click.Path(path_type=Path, exists=True, dir_okay=False))
 @click.option("--name", default="", help="Id of the robot; default: the file's name.")
-@click.option("--base", default="", metavar="LINK", help="Root link of the arm; default: the URDF's.")
+@click.option("--base", default="", metavar="LINK", help="Root link of the arm; default: the first with a shape.")
 @click.option("--flange", default="", metavar="LINK", help="Link that carries the gripper; default: the last one.")
+@click.option(
+    "--without", default="", metavar="LINK[,LINK]", callback=_names, help="Links beside the chain that are left out."
+)
 @click.option("--gripper", default="franka_hand", show_default=True, help="Gripper to mount.")
 @click.option("--mount-xyz", default="0 0 0", callback=_numbers, help="Position of the gripper in the flange [m].")
 @click.option("--mount-rpy", default="0 0 0", callback=_numbers, help="Its rotation: z out of the flange [rad].")
 @click.option("--velocity", default="", callback=_numbers, help="Joint speeds [rad/s]; default: the URDF's.")
+@click.option("--effort", default="", callback=_numbers, help="Joint torques [N m]; default: the URDF's.")
 @click.option("--acceleration", default="", callback=_numbers, help="Joint accelerations [rad/s^2].")
 @click.option("--jerk", default="", callback=_numbers, help="Joint jerks [rad/s^3]; default: acceleration in 50 ms.")
 @click.option("--home", default="", callback=_numbers, help="Joint positions at home [rad]; default: searched for.")
 @option("out", default="config", help="Configuration folder; the robot goes to OUT/robots.")
 def new(source: Path, name: str, out: Path, **given: Any) -> None:
-    r"""Make a robot from a URDF, a xacro (needs xacrodoc) or a recipe (YAML).
+    r"""Make a robot from a URDF, a xacro (needs xacrodoc), an MJCF or a recipe (YAML).
+
+    Numbers of joints are one for all of them, or one for each: --acceleration 3.5,2.5,5,5,5,5,5
 
     \b
     roboxim robot new my_arm.urdf --flange tool0 --acceleration 5 --out config

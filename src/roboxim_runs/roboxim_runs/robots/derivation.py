@@ -35,7 +35,7 @@ from roboxim_runs.robots.recipe import NAME_PATTERN, RobotRecipe, source_file, s
 from roboxim_runs.robots.stand import covered, root_link, stand
 
 Element = ElementTree.Element
-MOVING = ("revolute", "continuous", "prismatic")
+SHAPES = ("visual", "collision")
 ACCELERATIONS = "accelerations are the recipe's, the other limits the URDF's"
 JERK_TIME_S = 0.05
 """Time in which an acceleration is reached when no jerk is given [s]."""
@@ -73,7 +73,10 @@ def derive(
         (inside / kind).mkdir(parents=True)
     try:
         report(f"{len(arm.joints)} joints from {arm.base} to {arm.flange}: {', '.join(arm.joints)}")
+        if arm.beside and not recipe.arm:
+            report(f"kept, as they are fixed to it (--without leaves them out): {', '.join(arm.beside)}")
         tool = gripper(recipe.gripper)
+        values = arm.values(tool)  # before meshes, which take long
         root = ElementTree.Element("robot", {"name": recipe.name})
         root.extend(list(arm.elements(inside, report)))
         root.extend(stand(recipe, inside, arm.own(arm.base)))
@@ -90,7 +93,6 @@ def derive(
         report("sampling which links can touch")
         hand = frozenset(tool.model(lambda name: f"{recipe.name}_{name}").links)
         (inside / f"{recipe.name}.srdf").write_text(srdf_text(recipe.name, urdf, together=hand))
-        values = arm.values(tool)
         file.write_text(_yaml(recipe, values))
         if not recipe.home:
             report("searching a home pose")
@@ -152,7 +154,10 @@ class Arm:
                 "for a tool that points down at any yaw"
             )
         self.joints = {str(joint.get("name")): joint for joint in moving}
-        self._kept = [*(self._links[link] for link in reversed(chain)), *self._side_links(above, set(chain))]
+        side = self._side_links(above, set(chain))
+        self.beside = [str(link.get("name")) for link in side]
+        """Links that are kept although they are not on the chain."""
+        self._kept = [*(self._links[link] for link in reversed(chain)), *side]
 
     def _first_body(self, root: str, above: dict[str, Element]) -> str:
         """Return the first link with a shape, below links such as ``world``."""
@@ -173,14 +178,16 @@ class Arm:
         return max(self._links, key=depth)
 
     def _side_links(self, above: dict[str, Element], chain: set[str]) -> list[Element]:
-        """Return the links that are fixed to the chain before the flange, e.g. covers."""
-        side = []
+        """Return the links with shapes that are fixed to the chain before the flange, e.g. covers."""
+        left_out, side = self.recipe.without, []
+        if wrong := [name for name in left_out if name not in self._links or name in chain]:
+            raise ConfigError(f"{self.path}: without {', '.join(wrong)}: expected links beside the chain")
         for name, link in self._links.items():
             at, fixed = name, True
             while at not in chain and at in above:
-                fixed = fixed and above[at].get("type") == "fixed"
+                fixed = fixed and above[at].get("type") == "fixed" and at not in left_out
                 at = _parent(above[at])
-            if name not in chain and fixed and at in chain - {self.flange} and link.find("visual") is not None:
+            if name not in chain and fixed and at in chain - {self.flange} and any(map(link.findall, SHAPES)):
                 side.append(link)
                 if above[name] not in self._chain:
                     self._chain.append(above[name])
@@ -268,16 +275,12 @@ class Arm:
         if joint.get("type") == "continuous" or upper - lower > self.recipe.range_rad:
             lower, upper = -half, half
         place = list(self.joints).index(str(joint.get("name")))
-        velocity = given.get("velocity", 0.0)
-        if self.recipe.velocity:
-            velocity = spread(self.recipe.velocity, len(self.joints), "velocity")[place]
-        for what, value in (("velocity", velocity), ("effort", given.get("effort", 0.0))):
-            if value <= 0.0:
-                raise ConfigError(
-                    f"{self.path}: joint '{joint.get('name')}' has no {what} limit; "
-                    + ("give --velocity" if what == "velocity" else "add effort to its <limit>")
-                )
-        return lower, upper, velocity, given["effort"]
+        for what, stated in (("velocity", self.recipe.velocity), ("effort", self.recipe.effort)):
+            if stated:
+                given[what] = spread(stated, len(self.joints), what)[place]
+            if given.get(what, 0.0) <= 0.0:
+                raise ConfigError(f"{self.path}: joint '{joint.get('name')}' has no {what} limit; give --{what}")
+        return lower, upper, given["velocity"], given["effort"]
 
     def values(self, tool: Gripper) -> dict[str, Any]:
         """Return the content of the robot's YAML file."""

@@ -32,6 +32,8 @@ class RobotRecipe:
     on a pillar, while areas and poses of tasks stay those of every arm."""
     flange: str = ""
     """Link that the gripper is mounted on; empty: the last one. What lies beyond it is left out."""
+    without: tuple[str, ...] = ()
+    """Links fixed beside the chain to leave out, with what hangs on them, e.g. fingers on the palm below the flange."""
     gripper: str = "franka_hand"
     """Gripper of ``config/grippers``."""
     mount_xyz: Vec3 = (0.0, 0.0, 0.0)
@@ -40,6 +42,8 @@ class RobotRecipe:
     """Rotation of the gripper in the flange: z out of the flange, y along the opening [rad]."""
     velocity: tuple[float, ...] = ()
     """Joint speeds [rad/s]; one number: of all joints; empty: the URDF's."""
+    effort: tuple[float, ...] = ()
+    """Joint torques [N m]; one number: of all joints; empty: the URDF's."""
     acceleration: tuple[float, ...] = ()
     """Joint accelerations [rad/s^2], which a URDF does not have; one number: of all joints."""
     jerk: tuple[float, ...] = ()
@@ -66,7 +70,7 @@ class RobotRecipe:
         if self.collision_m < 0.0:
             raise ConfigError(f"collision_m must be at least 0, got {self.collision_m}")
         if self.arm:
-            taken = ("base", "base_xyz", "flange", "velocity", "acceleration", "jerk")
+            taken = ("base", "base_xyz", "flange", "without", "velocity", "effort", "acceleration", "jerk")
             if given := [name for name in taken if _states(getattr(self, name))]:
                 raise ConfigError(f"{', '.join(given)}: with arm they are those of '{self.arm}'; leave them out")
             return
@@ -75,12 +79,12 @@ class RobotRecipe:
                 "a URDF has no joint accelerations: give them from the maker's data sheet "
                 "(acceleration: [rad/s^2 of each joint], or --acceleration with one number for all joints)"
             )
-        for name in ("velocity", "acceleration", "jerk"):
+        for name in ("velocity", "effort", "acceleration", "jerk"):
             if any(value <= 0.0 for value in getattr(self, name)):
                 raise ConfigError(f"{name} must be greater than 0, got {list(getattr(self, name))}")
 
 
-def _states(value: str | tuple[float, ...]) -> bool:
+def _states(value: str | tuple[float | str, ...]) -> bool:
     return bool(value) if isinstance(value, str) else any(value)
 
 

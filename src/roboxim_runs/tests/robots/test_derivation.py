@@ -1,5 +1,6 @@
 """A robot from a small URDF: the parts are there, the engines agree, and wrong input is explained."""
 
+import shutil
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+import yaml
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.kinematics.arm import ArmKinematics
@@ -14,7 +16,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_runs.robots import derivation
 from roboxim_runs.robots.check import prove
 from roboxim_runs.robots.collision_pairs import srdf_text
-from roboxim_runs.robots.derivation import derive
+from roboxim_runs.robots.derivation import Arm, derive
 from roboxim_runs.robots.grippers import gripper
 from roboxim_runs.robots.reading import expanded
 from roboxim_runs.robots.recipe import RobotRecipe
@@ -97,6 +99,8 @@ def test_the_proofs_of_geometry_hold(made: Path, monkeypatch: pytest.MonkeyPatch
         ({}, {"name": "My Arm"}, "expected lower-case letters"),
         ({"type": "prismatic"}, {}, "an arm has revolute joints"),
         ({"limit": '<limit lower="-3" upper="3" effort="60"/>'}, {}, "no velocity limit; give --velocity"),
+        ({"limit": '<limit lower="-3" upper="3" velocity="2"/>'}, {}, "no effort limit; give --effort"),
+        ({}, {"without": ("l9", "l2")}, "without l9, l2: expected links beside the chain"),
     ],
 )
 def test_what_is_missing_or_wrong_is_named(
@@ -106,6 +110,41 @@ def test_what_is_missing_or_wrong_is_named(
     with pytest.raises(ConfigError, match=said):
         derive(recipe(urdf, **given), tmp_path / "robots", report=lambda line: None)
     assert not list((tmp_path / "robots").glob("*.yaml")), "nothing is half-written"
+
+
+def test_torques_can_be_given(tmp_path: Path) -> None:
+    urdf = small_arm(tmp_path, limit='<limit lower="-3" upper="3" velocity="2"/>')
+    made = Arm(expanded(urdf), urdf, recipe(urdf, effort=(40.0,))).values(gripper("franka_hand"))
+    assert made["limits"]["effort"] == [40.0] * 6
+
+
+@pytest.mark.parametrize(("without", "kept"), [((), ["palm", "tip", "guard"]), (("palm",), ["guard"])])
+def test_links_fixed_beside_the_chain_are_kept_and_named_unless_left_out(
+    tmp_path: Path, without: tuple[str, ...], kept: list[str]
+) -> None:
+    urdf = small_arm(tmp_path)
+    shape = '<geometry><box size="0.02 0.02 0.02"/></geometry>'
+    parts = {"palm": ("l5", "visual"), "tip": ("palm", "visual"), "guard": ("l2", "collision")}
+    more = "".join(
+        f'<link name="{name}"><{tag}>{shape}</{tag}></link>'
+        f'<joint name="{name}_fix" type="fixed"><parent link="{parent}"/><child link="{name}"/></joint>'
+        for name, (parent, tag) in parts.items()
+    )
+    urdf.write_text(urdf.read_text().replace("</robot>", f"{more}</robot>"))
+    arm = Arm(expanded(urdf), urdf, recipe(urdf, flange="l6", without=without))
+    assert arm.beside == kept
+
+
+@pytest.mark.thorough
+def test_an_arm_slower_than_the_commands_still_gets_to_the_cube(made: Path, tmp_path: Path) -> None:
+    shutil.copytree(made, tmp_path / "config")
+    file = tmp_path / "config" / "robots" / "mine.yaml"
+    stated = yaml.safe_load(file.read_text())
+    stated["limits"]["velocity"] = [0.4] * 6
+    file.write_text(yaml.safe_dump(stated))
+    proofs = prove("mine", library=ModelLibrary(tmp_path / "config"))
+    held = next(proof for proof in proofs if proof.name == "holds a cube")
+    assert held.holds, held.detail
 
 
 def test_accelerations_are_asked_for() -> None:
