@@ -1,7 +1,9 @@
 """Arms as their makers describe them: meshes, allowed pairs and limits that do not come from this repository.
 
-Meshes, joints and allowed pairs are those of the ``example-robot-data`` wheel; limits are the maker's. UR5 and xArm 7
-carry the Panda's hand of the same wheel, mounted on the flange as ``config/robots`` mounts it.
+Meshes and joints are those of the ``example-robot-data`` wheel; limits are the maker's. UR5 and xArm 7 carry the
+Panda's hand of the same wheel, mounted on the flange as ``config/robots`` mounts it. The Panda's allowed pairs are
+those of its SRDF. UR5 and xArm 7 may touch only where links are joined or always touch: UR5's SRDF in the wheel allows
+the forearm to run into the wrist.
 """
 
 from __future__ import annotations
@@ -33,8 +35,6 @@ class Machine:
     """As in ``config/robots``."""
     urdf: Path
     """The maker's description."""
-    srdf: Path
-    """Pairs that need no check."""
     flange: str = ""
     """Frame that carries the hand, aligned with it; empty: the description has the hand."""
     lower: Array
@@ -68,7 +68,6 @@ MACHINES = {
         Machine(
             name="panda",
             urdf=SOURCE / "urdf/panda.urdf",
-            srdf=SOURCE / "srdf/panda.srdf",
             lower=np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973]),
             upper=np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973]),
             velocity=np.array([2.175] * 4 + [2.61] * 3),
@@ -80,7 +79,6 @@ MACHINES = {
         Machine(
             name="ur5",
             urdf=DATA / "ur_description/urdf/ur5_joint_limited_robot.urdf",
-            srdf=DATA / "ur_description/srdf/ur5_joint_limited_robot.srdf",
             flange="tool0",
             lower=np.full(6, -np.pi),
             upper=np.full(6, np.pi),
@@ -92,7 +90,6 @@ MACHINES = {
         Machine(
             name="xarm7",
             urdf=DATA / "xarm_description/urdf/xarm7.urdf",
-            srdf=DATA / "xarm_description/srdf/xarm7.srdf",
             flange="link_eef",
             lower=np.array([-np.pi, -2.059, -np.pi, -0.19198, -np.pi, -1.69297, -np.pi]),
             upper=np.array([np.pi, 2.0944, np.pi, 3.927, np.pi, np.pi, np.pi]),
@@ -137,15 +134,28 @@ def geometry_of(name: str) -> pin.GeometryModel:
         _, geometry = pin.appendModel(bare, hand, geometry, meshes, bare.getFrameId(arm.flange), pin.SE3.Identity())
     geometry.removeAllCollisionPairs()
     geometry.addAllCollisionPairs()
-    for srdf in dict.fromkeys((arm.srdf, SOURCE / "srdf/panda.srdf")):
-        pin.removeCollisionPairs(model_of(name), geometry, str(srdf))
+    pin.removeCollisionPairs(model_of(name), geometry, str(SOURCE / "srdf/panda.srdf"))
     if arm.flange:
-        for pair in _always_touching(arm, geometry):
-            geometry.removeCollisionPair(pair)
+        for pair in {*_joined(arm, geometry), *_always_touching(arm, geometry)}:
+            geometry.removeCollisionPair(pin.CollisionPair(*pair))
     return geometry
 
 
-def _always_touching(arm: Machine, geometry: pin.GeometryModel) -> list[pin.CollisionPair]:
+def _joined(arm: Machine, geometry: pin.GeometryModel) -> list[tuple[int, int]]:
+    """Return the pairs of links that a joint or a mount connects."""
+    parents = model_of(arm.name).parents
+    found = []
+    for pair in geometry.collisionPairs:
+        first, second = geometry.geometryObjects[pair.first], geometry.geometryObjects[pair.second]
+        joints = first.parentJoint, second.parentJoint
+        neighbours = parents[joints[0]] == joints[1] or parents[joints[1]] == joints[0]
+        hand = first.name.startswith(HAND) or second.name.startswith(HAND)
+        if joints[0] == joints[1] or (neighbours and not hand):
+            found.append((pair.first, pair.second))
+    return found
+
+
+def _always_touching(arm: Machine, geometry: pin.GeometryModel) -> list[tuple[int, int]]:
     """Return the pairs that touch in every one of many states: parts mounted on each other, which no SRDF lists."""
     model = model_of(arm.name)
     data, placed = model.createData(), geometry.createData()
@@ -153,7 +163,8 @@ def _always_touching(arm: Machine, geometry: pin.GeometryModel) -> list[pin.Coll
     for joints in np.random.default_rng(0).uniform(arm.lower, arm.upper, (SAMPLES, arm.dof)):
         pin.computeCollisions(model, data, geometry, placed, arm.full(joints), False)
         hits += [result.isCollision() for result in placed.collisionResults]
-    return [pair for pair, count in zip(geometry.collisionPairs.tolist(), hits, strict=True) if count == SAMPLES]
+    pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
+    return [pair for pair, count in zip(pairs, hits, strict=True) if count == SAMPLES]
 
 
 @cache
