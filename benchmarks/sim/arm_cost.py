@@ -29,6 +29,8 @@ from roboxim_runs.episodes.task_choice import task_text
 
 BASE = "panda"
 DISTRACTORS = 3
+TARGETS = ["cube", "cucumber", "knife", "mug", "spoon"]
+"""Objects that every arm's gripper is wide enough for."""
 GOAL = 1.3
 """Largest ratio to Panda, except where joints explain more."""
 
@@ -78,6 +80,7 @@ def _round(cores: CoreGraph, arm: str, index: int, ticks: int) -> tuple[float, f
     """Return the milliseconds of a reset, a tick, and a tick's physics with the arm held."""
     task = yaml.safe_load(task_text("pick_up"))
     task |= {"robot": arm, "distractors": task["distractors"] | {"minimum": DISTRACTORS, "maximum": DISTRACTORS}}
+    task["objects"]["target"]["models"] = {"values": TARGETS}
     world, start = cores.sim.world, time.process_time()
     drawn = cores.ports.scenes.draw(SeedPath(run_seed=0, purpose="test", index=index), yaml.safe_dump(task))
     world.load(replace(drawn.scene, cameras=()), "cost")
