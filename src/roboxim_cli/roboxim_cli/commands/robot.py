@@ -44,6 +44,7 @@ def _names(ctx: click.Context, param: click.Parameter, text: str) -> tuple[str, 
 @click.option("--acceleration", default="", callback=_numbers, help="Joint accelerations [rad/s^2].")
 @click.option("--jerk", default="", callback=_numbers, help="Joint jerks [rad/s^3]; default: acceleration in 50 ms.")
 @click.option("--home", default="", callback=_numbers, help="Joint positions at home [rad]; default: searched for.")
+@click.option("--cover", is_flag=True, help="Make collision shapes of the visual meshes.")
 @option("out", default="config", help="Configuration folder; the robot goes to OUT/robots.")
 def new(source: Path, name: str, out: Path, **given: Any) -> None:
     r"""Make a robot from a URDF, a xacro (needs xacrodoc), an MJCF or a recipe (YAML).

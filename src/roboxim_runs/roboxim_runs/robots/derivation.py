@@ -37,6 +37,8 @@ from roboxim_runs.robots.stand import covered, root_link, stand
 Element = ElementTree.Element
 SHAPES = ("visual", "collision")
 ACCELERATIONS = "accelerations are the recipe's, the other limits the URDF's"
+UNCOVERED_M = 0.02
+"""How far a visual mesh may reach beyond its collision parts without a word [m]."""
 JERK_TIME_S = 0.05
 """Time in which an acceleration is reached when no jerk is given [s]."""
 
@@ -154,6 +156,7 @@ class Arm:
                 "for a tool that points down at any yaw"
             )
         self.joints = {str(joint.get("name")): joint for joint in moving}
+        self._uncovered_m: dict[str, float] = {}
         side = self._side_links(above, set(chain))
         self.beside = [str(link.get("name")) for link in side]
         """Links that are kept although they are not on the chain."""
@@ -208,6 +211,9 @@ class Arm:
             if shapes:
                 report(f"  {link.get('name')}: {sum(shape.tag == 'collision' for shape in shapes)} convex parts")
             yield made
+        if bare := {name: beyond for name, beyond in self._uncovered_m.items() if beyond > UNCOVERED_M}:
+            named = ", ".join(f"{name} ({1000 * beyond:.0f} mm)" for name, beyond in bare.items())
+            report(f"what is seen reaches beyond the collision shapes (--cover makes them of it): {named}")
         for joint in self._chain:
             yield self._joint(joint)
 
@@ -244,7 +250,9 @@ class Arm:
         meshes = LinkMeshes(
             recipe.name, folder, self.path, self._materials, triangles=recipe.triangles, collision_m=recipe.collision_m
         )
-        return meshes.visual(link) + meshes.collision(link)
+        made = meshes.visual(link) + meshes.collision(link, cover=recipe.cover)
+        self._uncovered_m[str(link.get("name"))] = meshes.uncovered_m
+        return made
 
     def _joint(self, joint: Element) -> Element:
         moving = joint.get("type") != "fixed"

@@ -45,6 +45,8 @@ class LinkMeshes:
         self.package, self.folder, self._source, self._materials = package, folder, source, materials
         self._triangles, self._weld_m, self._max_parts = triangles, weld_m, max_parts
         self._collision_m = collision_m
+        self._seen: trimesh.Trimesh | None = None
+        self._parts: list[trimesh.Trimesh] = []
 
     def visual(self, link: Element) -> list[Element]:
         """Return the visual element of a link; none: it has no shape."""
@@ -56,24 +58,44 @@ class LinkMeshes:
         file = f"visual/{link.get('name')}.glb"
         scene = visual(parts, triangles=self._triangles, weld_m=self._weld_m)
         (self.folder / file).write_bytes(scene.export(file_type="glb", include_normals=True))
+        self._seen = _together(scene.dump())
         return [self.element("visual", file)]
 
-    def collision(self, link: Element, beyond_m: float | None = None) -> list[Element]:
+    def collision(self, link: Element, beyond_m: float | None = None, *, cover: bool = False) -> list[Element]:
         """Return the collision elements of a link: convex parts.
 
         Args:
             link: The link.
             beyond_m: How far a part may reach beyond its hull [m]; none: as all links' do.
+            cover: Make them of the visual mesh, which `visual` has made, instead of the link's collision shapes.
         """
-        made = []
-        for k, shape in enumerate(link.findall("collision")):
-            meshes = [mesh for _, mesh in coloured(shape, self._source, self._materials)]
-            solid = trimesh.Trimesh(*trimesh.util.append_faces([m.vertices for m in meshes], [m.faces for m in meshes]))
-            for i, part in enumerate(convex_parts(solid, min_gain=MIN_GAIN, max_parts=self._max_parts)):
+        made, solids = [], [self._seen] if cover and self._seen else self._solids(link)
+        for k, solid in enumerate(solids):
+            for i, hull in enumerate(convex_parts(solid, min_gain=MIN_GAIN, max_parts=self._max_parts)):
                 file = f"collision/{link.get('name')}_{k + 1}_{i + 1}.stl"
-                coarser(part, self._collision_m if beyond_m is None else beyond_m).export(self.folder / file)
+                part = coarser(hull, self._collision_m if beyond_m is None else beyond_m)
+                part.export(self.folder / file)
+                self._parts.append(part)
                 made.append(self.element("collision", file))
         return made
+
+    @property
+    def uncovered_m(self) -> float:
+        """How far the visual mesh made last reaches beyond the collision parts made so far, at least [m]."""
+        if self._seen is None or not self._parts:
+            return 0.0
+        points = self._seen.vertices
+        # A point is as far from a convex part as it is in front of the part's faces, or farther.
+        beyond = [
+            (points @ part.face_normals.T - np.sum(part.face_normals * part.triangles[:, 0], axis=1)).max(axis=1)
+            for part in self._parts
+        ]
+        return max(0.0, float(np.min(beyond, axis=0).max()))
+
+    def _solids(self, link: Element) -> list[trimesh.Trimesh]:
+        """Return the mesh of each collision shape of a link."""
+        shapes = [coloured(shape, self._source, self._materials) for shape in link.findall("collision")]
+        return [_together([mesh for _, mesh in shape]) for shape in shapes]
 
     def element(self, tag: str, file: str) -> Element:
         """Return a visual or collision element of a mesh file of the folder."""
@@ -81,6 +103,10 @@ class LinkMeshes:
         geometry = ElementTree.SubElement(made, "geometry")
         ElementTree.SubElement(geometry, "mesh", {"filename": f"package://{self.package}/{file}"})
         return made
+
+
+def _together(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    return trimesh.Trimesh(*trimesh.util.append_faces([m.vertices for m in meshes], [m.faces for m in meshes]))
 
 
 def coloured(shape: Element, path: Path, materials: dict[str, Element]) -> list[tuple[Color, trimesh.Trimesh]]:

@@ -55,6 +55,8 @@ class RobotRecipe:
     collision_m: float = 0.002
     """How far a convex collision part may reach beyond the mesh's hull [m]. A coarser part has fewer faces and loads
     faster; 0: the hull itself."""
+    cover: bool = False
+    """Make the collision parts of the visual meshes, where the file's collision shapes leave much of them uncovered."""
     start: tuple[float, ...] = ()
     """Box in which tasks start the tool of an arm that is too small for theirs, see `RobotModel.start` [m]."""
     triangles: int = 1200
@@ -70,7 +72,7 @@ class RobotRecipe:
         if self.collision_m < 0.0:
             raise ConfigError(f"collision_m must be at least 0, got {self.collision_m}")
         if self.arm:
-            taken = ("base", "base_xyz", "flange", "without", "velocity", "effort", "acceleration", "jerk")
+            taken = ("base", "base_xyz", "flange", "without", "velocity", "effort", "acceleration", "jerk", "cover")
             if given := [name for name in taken if _states(getattr(self, name))]:
                 raise ConfigError(f"{', '.join(given)}: with arm they are those of '{self.arm}'; leave them out")
             return
@@ -84,8 +86,8 @@ class RobotRecipe:
                 raise ConfigError(f"{name} must be greater than 0, got {list(getattr(self, name))}")
 
 
-def _states(value: str | tuple[float | str, ...]) -> bool:
-    return bool(value) if isinstance(value, str) else any(value)
+def _states(value: bool | str | tuple[float | str, ...]) -> bool:
+    return any(value) if isinstance(value, tuple) else bool(value)
 
 
 def spread(values: tuple[float, ...], joints: int, name: str) -> tuple[float, ...]:

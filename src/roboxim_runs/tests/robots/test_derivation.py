@@ -147,6 +147,23 @@ def test_an_arm_slower_than_the_commands_still_gets_to_the_cube(made: Path, tmp_
     assert held.holds, held.detail
 
 
+@pytest.mark.parametrize("cover", [False, True])
+def test_what_collision_shapes_leave_uncovered_is_said_and_can_be_covered(tmp_path: Path, cover: bool) -> None:
+    urdf = small_arm(tmp_path)
+    file = tmp_path / "arm.urdf"
+    far = '<link name="l3"><visual><geometry><box size="0.06 0.06 0.30"/></geometry></visual>'
+    near = '<link name="l3"><visual><geometry><box size="0.06 0.06 0.06"/></geometry></visual>'
+    file.write_text(urdf.read_text().replace(near, far))
+    for kind in ("visual", "collision"):
+        (tmp_path / "out" / kind).mkdir(parents=True)
+    said: list[str] = []
+    made = list(Arm(expanded(file), file, recipe(file, cover=cover)).elements(tmp_path / "out", said.append))
+    assert any("l3 (120 mm)" in line and "--cover" in line for line in said) != cover, said
+    part = trimesh.load_mesh(tmp_path / "out" / "collision" / "l3_1_1.stl")
+    assert part.extents[2] == pytest.approx(0.30 if cover else 0.06, abs=3e-3)
+    assert len([element for element in made if element.tag == "link"]) == 7
+
+
 def test_accelerations_are_asked_for() -> None:
     with pytest.raises(ConfigError, match="give them from the maker's data sheet"):
         RobotRecipe(name="mine", urdf="arm.urdf")
