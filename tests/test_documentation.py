@@ -32,8 +32,8 @@ FILES = [
     ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("*/*.md")),
     *sorted((ROOT / "src").glob("*/README.md")),
 ]  # fmt: skip
-OWN_NAMES = ("teapot", "pepper_mill", "shake", "my_arm", "cup")
-"""Objects and skills that the documentation instructs the reader to create."""
+OWN_NAMES = ("teapot", "pepper_mill", "shake", "my_arm", "sawyer", "cup")
+"""Objects, skills and robots that the documentation instructs the reader to create."""
 
 
 @dataclass(frozen=True, kw_only=True)

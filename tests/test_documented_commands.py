@@ -57,7 +57,7 @@ NOT_RUN = {
     r"^correlate ": "results of three policies or more, e.g. on real robots: test_correlating.py",
     r"demos-shards": "what many machines made: test_shards.py",
     r"/\.partial/": "what a killed recorder leaves: test_repair.py",
-    r"my_arm|my_panda": "an arm of the reader's: tests of roboxim_runs",
+    r"my_arm|my_panda|sawyer": "an arm of the reader's: tests of roboxim_runs",
     r"request\.yaml": "a request of the reader's: roboxim_planner/tests",
     r"^experiment calibrate": "minutes of stages: test_experiment_resume.py",
     r"^audit-benchmark (gymnasium_robotics|metaworld):": "environments of others",
