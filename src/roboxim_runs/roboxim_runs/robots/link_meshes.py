@@ -58,7 +58,7 @@ class LinkMeshes:
         file = f"visual/{link.get('name')}.glb"
         scene = visual(parts, triangles=self._triangles, weld_m=self._weld_m)
         (self.folder / file).write_bytes(scene.export(file_type="glb", include_normals=True))
-        self._seen = _together(scene.dump())
+        self._seen = _together([mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh)])
         return [self.element("visual", file)]
 
     def collision(self, link: Element, beyond_m: float | None = None, *, cover: bool = False) -> list[Element]:
