@@ -23,7 +23,7 @@ test: setup ## run the default tests (not those marked thorough, slow, fuzz or g
 	$(BIN)/pytest -n logical --maxprocesses 4 --dist loadfile $(ARGS)
 
 test-thorough: setup ## run the tests marked thorough, which CI runs after the default ones
-	$(BIN)/pytest -n logical --maxprocesses 4 -m "thorough and not gpu" $(ARGS)
+	$(BIN)/pytest -n logical --maxprocesses 4 -m "thorough and not slow and not gpu" $(ARGS)
 
 test-slow: setup ## run the tests marked slow
 	$(BIN)/pytest -m "slow and not gpu" $(ARGS)

@@ -185,7 +185,7 @@ def test_dragging_the_gizmo_in_the_page_moves_the_simulated_object(studio, edito
     chromium.wait("document.querySelector('#findings')")
     pose = editor.desk.scene.entity("target").pose
     editor.select("target")
-    client = next(iter(studio.site.viser.get_clients().values()))
+    client = wait_for(lambda: next(iter(studio.site.viser.get_clients().values()), None), "the page's client")
     wait_for(lambda: client.camera.image_width < 1200, "the panel at the side of the view", 60)
     pause = "new Promise(done => setTimeout(done, {}))"
     for _ in range(8):  # until the gizmo has been drawn

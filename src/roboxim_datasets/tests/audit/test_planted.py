@@ -19,6 +19,7 @@ NEEDS_SIMULATOR = {"wrong_execution"}
 SIDE_EFFECTS = {
     "rotation_jump": {"saturation", "statistics"},
     "outlier": {"saturation"},
+    "gripper_range": {"statistics"},
     "blank_camera": {"frozen_camera"},
     "state_lag": {"frozen_camera"},
 }

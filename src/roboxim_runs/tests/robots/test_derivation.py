@@ -136,14 +136,16 @@ def test_links_fixed_beside_the_chain_are_kept_and_named_unless_left_out(
 
 
 @pytest.mark.thorough
-def test_an_arm_slower_than_the_commands_still_gets_to_the_cube(made: Path, tmp_path: Path) -> None:
+def test_an_arm_slower_than_the_commands_still_gets_to_the_cube(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path / "config"))
     shutil.copytree(made, tmp_path / "config")
     file = tmp_path / "config" / "robots" / "mine.yaml"
     stated = yaml.safe_load(file.read_text())
     stated["limits"]["velocity"] = [0.4] * 6
     file.write_text(yaml.safe_dump(stated))
-    proofs = prove("mine", library=ModelLibrary(tmp_path / "config"))
-    held = next(proof for proof in proofs if proof.name == "holds a cube")
+    held = next(proof for proof in prove("mine") if proof.name == "holds a cube")
     assert held.holds, held.detail
 
 
