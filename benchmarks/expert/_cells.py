@@ -22,7 +22,7 @@ DRAWERS = ("top", "middle", "bottom")
 ARTICULATED = {"flip_switch": "switch", "turn_knob": "knob", "open_door": "microwave", "close_door": "microwave"}
 """Skills of one object, whose configuration says it all."""
 LONG = ("two_steps", "drawer_chain", "tidy_up")
-"""Tasks of several steps: 2, 2 and 4."""
+"""Tasks of several steps: 2, 3 and 4."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -194,9 +194,9 @@ def contenders(names: list[str], robot_folder: Path, robot: str = "panda") -> tu
     return found, missing
 
 
-def our_planner(robot: str = "panda") -> Contender:
-    """Return RoboXim's planner for a robot, in a separate process."""
-    return Contender(OURS, Path(sys.executable), "run_roboxim.py", robot)
+def our_planner() -> Contender:
+    """Return RoboXim's planner for the Panda, in a separate process."""
+    return Contender(OURS, Path(sys.executable), "run_roboxim.py")
 
 
 def toppra_measure() -> Contender | None:
