@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+from typing import Any
+
 import pytest
 
 from roboxim_core.config import config_dir
@@ -12,18 +15,23 @@ from roboxim_core.plain_data.documents import parse_yaml
 LIBRARY = ModelLibrary()
 SHAPES = LIBRARY.object_sets["shapes"]
 FOLDER = config_dir() / "objects" / "shapes"
-DATA = {name: parse_yaml((FOLDER / f"{name}.yaml").read_text()) for name in SHAPES}
+
+
+@functools.cache
+def data() -> dict[str, dict[str, Any]]:
+    """Return the content of all files; not at import, which every process of a test run pays for."""
+    return {name: parse_yaml((FOLDER / f"{name}.yaml").read_text()) for name in SHAPES}
 
 
 def words(name: str) -> tuple[str, str, str]:
     """Return size, colour and shape word of a shape's name."""
-    *size, colour, shape = DATA[name]["name"].split()
+    *size, colour, shape = data()[name]["name"].split()
     return " ".join(size), colour, shape
 
 
 def test_there_are_a_hundred_each_graspable_and_beside_their_licence():
     assert len(SHAPES) == 100
-    assert all("graspable" in data["affordances"] and data["grasps"] for data in DATA.values())
+    assert all("graspable" in shape["affordances"] and shape["grasps"] for shape in data().values())
     assert "zlib" in (FOLDER / "LICENSE").read_text()
 
 
@@ -36,10 +44,10 @@ def test_colour_and_shape_word_fit_one_shape_alone():
 @pytest.mark.parametrize("name", SHAPES)
 def test_a_name_says_what_is_seen(name):
     size, colour, _ = words(name)
-    assert name == DATA[name]["name"].replace(" ", "_")
-    (visual,) = DATA[name]["links"][0]["visual"]
+    assert name == data()[name]["name"].replace(" ", "_")
+    (visual,) = data()[name]["links"][0]["visual"]
     assert tuple(visual["material"]["color"]) == PALETTE[colour]
-    longest = max(DATA[name]["size"])
+    longest = max(data()[name]["size"])
     assert size == ("small" if longest < 0.075 else "large" if longest >= 0.095 else "")
 
 

@@ -24,7 +24,7 @@ def parse_assignments(assignments: Iterable[str], *, node: str = "") -> dict[str
     Raises:
         ConfigError: When a word is not of this form.
     """
-    from roboxim_bringup.yaml_text import parse
+    from roboxim_core.plain_data.yaml_text import parse
 
     found: dict[str, dict[str, Any]] = {}
     for word in assignments:
@@ -48,7 +48,7 @@ def parse_options(assignments: Iterable[str]) -> dict[str, Any]:
     Raises:
         ConfigError: When a word is not of this form.
     """
-    from roboxim_bringup.yaml_text import parse
+    from roboxim_core.plain_data.yaml_text import parse
 
     options = {}
     for word in assignments:
@@ -72,8 +72,8 @@ def read_params_files(files: Iterable[str | Path], *, namespace: str = "") -> di
     Raises:
         ConfigError: When a file is missing or is not of this form.
     """
-    from roboxim_bringup.yaml_text import plain
     from roboxim_core.config import load_yaml
+    from roboxim_core.plain_data.yaml_text import plain
 
     found: dict[str, dict[str, Any]] = {}
     for file in files:

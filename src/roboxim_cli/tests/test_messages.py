@@ -7,9 +7,9 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import ByteMultiArray, Float32
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from roboxim_bringup import yaml_text
 from roboxim_cli import messages
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data import yaml_text
 
 
 @pytest.mark.parametrize("name", ["roboxim_interfaces/srv/Tick", "roboxim_interfaces/Tick"])

@@ -13,7 +13,8 @@ UNITS = ((1.0, "s"), (60.0, "min"), (3600.0, "h"))
 class Pace:
     """Rate of the last `WINDOW_S`, from counts at times that the caller gives.
 
-    The time until the first unit is done does not count: workers start in it.
+    The time until the first unit is done does not count: workers start in it, and a job that continues leaps from 0 to
+    what was done before.
     """
 
     def __init__(self) -> None:
@@ -29,7 +30,7 @@ class Pace:
         """
         if self._counts and done < self._counts[-1][1]:  # counted again, e.g. after a worker's death
             self._counts.clear()
-        if self._counts and done == self._counts[-1][1]:
+        if not done or (self._counts and done == self._counts[-1][1]):
             return
         self._counts.append((time_s, done))
         while len(self._counts) > 2 and self._counts[1][0] < time_s - WINDOW_S:

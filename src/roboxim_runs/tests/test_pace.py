@@ -20,11 +20,11 @@ def test_a_rate_needs_two_counts_and_leaves_out_the_start():
 def test_a_rate_falls_while_nothing_is_done_and_follows_a_change_of_speed():
     pace = Pace()
     for second in range(11):
-        pace.add(float(second), second)
+        pace.add(float(second), 1 + second)
     assert pace.per_second(11.0) == pytest.approx(1.0)
     assert pace.per_second(100.0) == pytest.approx(0.1)
     for step in range(1, 40):
-        pace.add(10.0 + 100.0 * step, 10 + step)
+        pace.add(10.0 + 100.0 * step, 11 + step)
     assert 3 * WINDOW_S < 10.0 + 100.0 * 39
     assert pace.per_second(10.0 + 100.0 * 39) == pytest.approx(0.01)
 
@@ -34,6 +34,13 @@ def test_a_count_that_goes_back_begins_anew():
     for time_s, done in ((0.0, 5), (1.0, 6), (2.0, 2), (4.0, 4)):
         pace.add(time_s, done)
     assert pace.per_second(4.0) == pytest.approx(1.0)
+
+
+def test_what_was_done_before_is_no_speed():
+    pace = Pace()
+    for time_s, done in ((0.0, 0), (11.0, 0), (28.0, 1975), (38.0, 2025)):
+        pace.add(time_s, done)
+    assert pace.text(38.0, 2975) == "5.0/s, 10 min left"
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,14 @@ from roboxim_cli.options import option
 
 def _options(words: tuple[str, ...]) -> dict[str, Any]:
     """Return the options of an environment."""
-    import yaml
+    from roboxim_core.plain_data import yaml_text
 
     if wrong := [word for word in words if not word.partition("=")[0].isidentifier() or "=" not in word]:
         raise click.UsageError(f"--option must be KEY=VALUE, e.g. env_name=reach-v3; got {wrong[0]!r}")
-    return {key: yaml.safe_load(value) for key, _, value in (word.partition("=") for word in words)}
+    return {
+        key: yaml_text.parse(value, source=f"--option {key}")
+        for key, _, value in (word.partition("=") for word in words)
+    }
 
 
 @strict.command(begins="auditing the benchmark")

@@ -81,10 +81,10 @@ def send_goal(
     domain: int | None,
 ) -> None:
     """Send a goal and print its result as YAML; Ctrl-C cancels the goal."""
-    from roboxim_bringup.yaml_text import dump, parse
     from roboxim_cli.messages import look_up, message_from_plain, message_to_plain
     from roboxim_cli.ros.service import split_type
     from roboxim_core.errors import ErrorCode, RoboximError
+    from roboxim_core.plain_data.yaml_text import dump, parse
 
     type_name, text = split_type(words)
     data = parse(text, source="goal") if text else None

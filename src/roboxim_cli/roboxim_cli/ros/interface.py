@@ -53,9 +53,9 @@ def show(type_name: str) -> None:
 @click.argument("type_name", metavar="TYPE")
 def proto(type_name: str) -> None:
     """Print a type's default values as YAML, to fill in for service call, send_goal or topic pub."""
-    from roboxim_bringup.yaml_text import dump
     from roboxim_cli.messages import KINDS, look_up, prototype
     from roboxim_core.errors import ConfigError
+    from roboxim_core.plain_data.yaml_text import dump
 
     parts = type_name.split("/")
     kinds = [parts[1]] if len(parts) == 3 and parts[1] in KINDS else list(KINDS)

@@ -37,7 +37,7 @@ def list_parameters(peer: Peer, node: str | None) -> None:
 @on_graph
 def get(peer: Peer, node: str, name: str) -> None:
     """Print the value of a parameter."""
-    from roboxim_bringup.yaml_text import dump
+    from roboxim_core.plain_data.yaml_text import dump
 
     _require(peer, node, name)
     value = _values(peer, node, [name])[0]
@@ -49,7 +49,7 @@ def get(peer: Peer, node: str, name: str) -> None:
 @on_graph
 def dump_parameters(peer: Peer, node: str) -> None:
     """Print all parameters of a node as a parameter file."""
-    from roboxim_bringup.yaml_text import dump
+    from roboxim_core.plain_data.yaml_text import dump
 
     names = parameter_names(peer, node)
     values = dict(zip(names, _values(peer, node, names), strict=True))
@@ -66,8 +66,8 @@ def set_parameter(node: str, name: str, value: str, run_id: str | None, domain: 
     from rcl_interfaces.srv import SetParameters
     from rclpy.parameter import Parameter
 
-    from roboxim_bringup.yaml_text import parse
     from roboxim_core.errors import ConfigError
+    from roboxim_core.plain_data.yaml_text import parse
 
     try:
         parameter = Parameter(name, value=parse(value, source="value")).to_parameter_msg()

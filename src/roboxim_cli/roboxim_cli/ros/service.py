@@ -68,9 +68,9 @@ def call(name: str, words: tuple[str, ...], timeout: float, full: bool, run_id: 
     """
     type_name, text = split_type(words)
     from roboxim_bringup.attach import absolute
-    from roboxim_bringup.yaml_text import dump, parse
     from roboxim_cli.messages import full_name, look_up, message_from_plain, message_to_plain
     from roboxim_core.errors import ConfigError, RoboximError, SimError
+    from roboxim_core.plain_data.yaml_text import dump, parse
 
     given = look_up(type_name, "srv") if type_name else None
     data = parse(text, source="request") if text else None

@@ -72,8 +72,8 @@ def echo(
     peer: Peer, name: str, type_name: str | None, once: bool, field: str | None, full: bool, timeout: float | None
 ) -> None:
     """Print the messages of a topic as YAML, separated by ---."""
-    from roboxim_bringup.yaml_text import dump
     from roboxim_cli.messages import message_to_plain
+    from roboxim_core.plain_data.yaml_text import dump
 
     def remind() -> None:
         click.echo(_silence(absolute(name)), err=True)
@@ -154,8 +154,8 @@ def pub(
     name: str, type_name: str, text: str, once: bool, rate: float, times: int, run_id: str | None, domain: int | None
 ) -> None:
     """Publish messages to a topic."""
-    from roboxim_bringup.yaml_text import parse
     from roboxim_cli.messages import look_up, message_from_plain
+    from roboxim_core.plain_data.yaml_text import parse
     from roboxim_ros.host import wait_for_stop
     from roboxim_ros.qos import STATE
 

@@ -13,6 +13,7 @@ import yaml
 from roboxim_core.config import parse_yaml
 from roboxim_core.episode import ActorPort, RunConfig
 from roboxim_core.errors import ConfigError, ErrorCode, RoboximError, one_of
+from roboxim_core.plain_data.yaml_text import plain
 from roboxim_core.poses import Array
 from roboxim_core.seeds import SeedPath
 from roboxim_eval.answers.regions import Factor, Region, SearchConfig, search
@@ -180,7 +181,7 @@ class _Points:
     def _fails(self, point: Array) -> bool | None:
         number = self.rollouts + self.infeasible
         seed = SeedPath(run_seed=self._config.search.seed, purpose="eval", index=number)
-        text = yaml.safe_dump(_plain(at_point(self._data, self._factors, point.tolist())))
+        text = yaml.safe_dump(plain(at_point(self._data, self._factors, point.tolist())))
         failed = self._outcome(seed, text)
         if failed:
             self._failed.append((point, seed, text))
@@ -216,13 +217,6 @@ class _Points:
             tried = self._bench.run(draw, self._actor, seed, config=replace(self._config.run), bags=out)
             found.append(tried.result.bag)
         return found
-
-
-def _plain(value: Any) -> Any:
-    """Return located YAML data as plain dictionaries and lists."""
-    if isinstance(value, dict):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
 __all__ = ["MineConfig", "Mined", "at_point", "factors_of", "mine"]

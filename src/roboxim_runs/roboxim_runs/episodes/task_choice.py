@@ -15,6 +15,7 @@ import yaml
 from roboxim_core.config import config_dirs, named_config, parse_yaml
 from roboxim_core.config_folders import config_dir, config_names, is_path
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.plain_data import yaml_text
 from roboxim_core.plain_data.documents import read_text
 from roboxim_core.plain_data.merging import merged
 from roboxim_core.seeds import CELL
@@ -76,7 +77,7 @@ def task_text(
         reset = merged(_whole_view(parse_yaml(text, source=source), by_look=bool(look)), reset)
     if not (objects or distractors or colors or reset or robot):
         return text
-    data: dict[str, Any] = yaml.safe_load(text) or {}
+    data: dict[str, Any] = yaml_text.parse(text) or {}
     changed = data
     if "cells" in data:
         if objects:
@@ -255,7 +256,7 @@ def _cells_by_view(skills: Sequence[str], *, by_look: bool) -> list[dict[str, An
         if file.is_file():
             view = _whole_view(parse_yaml(read_text(file), source=str(file)), by_look=by_look)
         else:
-            view = {} if by_look else yaml.safe_load(FROM_AFAR)
+            view = {} if by_look else yaml_text.parse(FROM_AFAR)
         cell = groups.setdefault(str(view), {"tasks": [], **({"set": {"reset": view}} if view else {})})
         cell["tasks"].append(skill)
     return list(groups.values())

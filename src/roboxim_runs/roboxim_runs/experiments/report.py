@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from roboxim_bringup.yaml_text import parse
 from roboxim_core.config import from_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json
+from roboxim_core.plain_data.yaml_text import parse
 from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Design, ExperimentConfig, stages_of
 from roboxim_eval.experiments.card import Card, is_card

@@ -38,6 +38,12 @@ def test_an_empty_task_file_is_no_default_task(tmp_path, content):
             read(str(tmp_path / "own.yaml"))
 
 
+def test_options_keep_the_numbers_of_a_task_file_as_yaml_1_2_has_them(tmp_path):
+    (tmp_path / "own.yaml").write_text("skill: pick_up\ndistractors: {minimum: 0, maximum: 0o7}\n")  # text in YAML 1.1
+    for colors in ("", "red"):
+        assert parse_task_config(task_text(str(tmp_path / "own.yaml"), colors=colors)).distractors.maximum == 7
+
+
 def test_modifiers_that_no_model_takes_are_dropped_and_the_default_is_the_main_job_s():
     data = yaml.safe_load(task_text(objects=("cucumber",)))
     assert data["objects"]["target"]["modifiers"] == {}

@@ -17,6 +17,7 @@ from roboxim_core.config import parse_yaml
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.modifiers import ModifierModel
+from roboxim_core.plain_data import yaml_text
 from roboxim_core.specs import Scalar
 from roboxim_runs.episodes.task_choice import set_models, task_text
 from roboxim_tasks.choices import Choice
@@ -89,7 +90,7 @@ def composed(text: str) -> Composition:
             raise ConfigError(f"this is {why}: it can be drawn here, but not composed; choose a task of one skill")
     if (skill := data.get("skill", "pick_up")) not in SKILLS:
         raise ConfigError(f"the skill '{skill}' is a file's: it can be drawn here, but not composed")
-    return _checked(yaml.safe_load(text) or {})
+    return _checked(yaml_text.plain(data))
 
 
 def with_skill(made: Composition, skill: str) -> Composition:
@@ -101,7 +102,7 @@ def with_skill(made: Composition, skill: str) -> Composition:
     if skill not in SKILLS:  # a file of a skill is code
         raise ConfigError(f"unknown skill '{skill}'; {one_of(SKILLS, skill)}")
     kept = {key: made.data[key] for key in KEPT if key in made.data}
-    return _checked({**(yaml.safe_load(task_text(skill=skill)) or {}), **copy.deepcopy(kept)})
+    return _checked({**(yaml_text.parse(task_text(skill=skill)) or {}), **copy.deepcopy(kept)})
 
 
 def with_models(made: Composition, role: str, models: Sequence[str], library: ModelLibrary) -> Composition:

@@ -22,6 +22,7 @@ from typing import Any
 import yaml
 
 from roboxim_core.config import config_dirs
+from roboxim_core.plain_data import yaml_text
 from roboxim_core.plain_data.documents import read_text
 from roboxim_core.plain_data.merging import merged
 from roboxim_core.registry import Registry
@@ -60,7 +61,8 @@ class Trial:
         """Return the task configuration of its scenes as YAML text."""
         files = (folder / "tasks" / f"{self.skill}.yaml" for folder in config_dirs())
         own: dict[str, Any] = next(
-            (yaml.safe_load(read_text(file)) for file in files if file.is_file()), {"skill": self.skill}
+            (yaml_text.parse(read_text(file), source=str(file)) for file in files if file.is_file()),
+            {"skill": self.skill},
         )
         own["reset"] = {**own.get("reset", {}), "cameras": {"names": []}}
         return str(yaml.safe_dump(merged(merged(own, ALONE), self.change)))

@@ -1,4 +1,4 @@
-"""YAML input and output of the command line, as plain Python values."""
+"""YAML text to plain Python values and back; `documents` has the parser that keeps line numbers."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from typing import Any
 
 import yaml
 
+from roboxim_core.plain_data.documents import parse_yaml
 
-def parse(text: str, *, source: str) -> Any:
+
+def parse(text: str, *, source: str = "YAML") -> Any:
     """Parse YAML 1.2 into dicts, lists and scalars.
 
     Args:
@@ -17,8 +19,6 @@ def parse(text: str, *, source: str) -> Any:
     Raises:
         ConfigError: When the text is not YAML; the message names the line.
     """
-    from roboxim_core.config import parse_yaml  # imports numpy, which most commands do not need
-
     return plain(parse_yaml(text, source=source))
 
 
@@ -26,7 +26,7 @@ def plain(value: Any) -> Any:
     """Convert the parser's types, which store line numbers, to plain values."""
     if isinstance(value, dict):
         return {plain(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     for kind in (bool, int, float, str):
         if isinstance(value, kind):
