@@ -7,10 +7,17 @@ import pytest
 from roboxim_bringup.testing import graph, graph_parameters  # noqa: F401
 
 
+def pytest_collection():
+    """Collect no garbage while tests are collected: almost all that is made then stays."""
+    gc.disable()
+
+
 def pytest_collection_finish():
-    """Exempt what exists after the collection of tests from garbage collection, which would visit it each time."""
+    """Exempt what exists after the collection of tests from garbage collection, and collect the rest less often."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
+    gc.enable()
 
 
 def pytest_unconfigure():

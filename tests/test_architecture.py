@@ -51,9 +51,14 @@ def parsed(path):
 
 
 @cache
+def nodes(path):
+    return tuple(ast.walk(parsed(path)))
+
+
+@cache
 def imports_of(path):
     names = []
-    for node in ast.walk(parsed(path)):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
@@ -77,7 +82,7 @@ def module_name(path, package):
 
 def imported_anywhere(path, names):
     """Yield the modules of a package that a module names anywhere: at its top, inside functions, for type checkers."""
-    for node in ast.walk(parsed(path)):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -162,7 +167,7 @@ def test_every_callback_of_a_node_is_guarded():
     raw = {"create_service", "create_subscription", "create_timer", "ActionServer", "Node"}
     for package in (f"roboxim_{room}" for room in ROOMS):
         for path in modules(package):
-            for node in ast.walk(parsed(path)):
+            for node in nodes(path):
                 if not isinstance(node, ast.Call):
                     continue
                 name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
@@ -170,7 +175,7 @@ def test_every_callback_of_a_node_is_guarded():
                 assert name not in raw or (of_node and name == "create_subscription"), (
                     f"{path.relative_to(SRC)}:{node.lineno} calls {name}; use RoboximNode.serve, hear or serve_action"
                 )
-            for node in ast.walk(parsed(path)):
+            for node in nodes(path):
                 if isinstance(node, ast.ClassDef):
                     bases = {ast.unparse(base).rpartition(".")[2] for base in node.bases}
                     assert "Node" not in bases, f"{path.relative_to(SRC)}: {node.name} must derive from RoboximNode"

@@ -110,12 +110,17 @@ def raise_(error):
     ("answer", "reason", "message"),
     [
         (lambda: raise_(KeyError("weights")), "policy_fault", "KeyError in act at tick 0.*weights"),
-        (lambda: raise_(SystemExit(3)), "policy_fault", "SystemExit"),
+        pytest.param(lambda: raise_(SystemExit(3)), "policy_fault", "SystemExit", marks=pytest.mark.thorough),
         (lambda: np.full(7, np.nan), "invalid_action", "finite, got nan at step 0, component 0"),
         (lambda: np.zeros(6), "invalid_action", r"shape \(horizon, 7\), got \(6,\)"),
-        (lambda: np.zeros((0, 7)), "invalid_action", "shape"),
-        (lambda: np.zeros((2, 7)), "invalid_action", "horizon of at most 1, got \\(2, 7\\)"),
-        (lambda: "up", "invalid_action", "not numbers"),
+        pytest.param(lambda: np.zeros((0, 7)), "invalid_action", "shape", marks=pytest.mark.thorough),
+        pytest.param(
+            lambda: np.zeros((2, 7)),
+            "invalid_action",
+            "horizon of at most 1, got \\(2, 7\\)",
+            marks=pytest.mark.thorough,
+        ),
+        pytest.param(lambda: "up", "invalid_action", "not numbers", marks=pytest.mark.thorough),
         (lambda: None, "invalid_action", "shape|numbers|finite"),
     ],
 )

@@ -33,7 +33,8 @@ def literals(source: str) -> Iterator[str]:
 def texts() -> Iterator[tuple[str, str]]:
     """Yield each file's name and its texts."""
     for file in sorted(ROOT.glob("src/*/roboxim*/**/*.py")):
-        for text in literals(file.read_text()):
+        source = file.read_text()
+        for text in literals(source) if "roboxim " in source else ():
             if "roboxim " in text:
                 yield str(file.relative_to(ROOT)), text
     for pattern in (

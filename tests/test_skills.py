@@ -21,6 +21,8 @@ from roboxim_runs.episodes.task_choice import task_text
 from roboxim_tasks.skills import SKILLS
 
 SKILL_NAMES = sorted(SKILLS)
+QUICK = ("open_door", "pick_up", "push_object", "rotate", "stack", "turn_knob", "turn_upright")
+"""Those of the default tests: no two of them move alike."""
 LIBRARY = ModelLibrary()
 
 
@@ -49,7 +51,10 @@ def run(folder):
         yield episode
 
 
-@pytest.mark.parametrize("skill", SKILL_NAMES)
+@pytest.mark.parametrize(
+    "skill",
+    [pytest.param(skill, marks=() if skill in QUICK else pytest.mark.thorough) for skill in SKILL_NAMES],
+)
 def test_the_expert_solves_it_at_its_first_try_and_the_bag_agrees(skill, run, folder):
     result = run(skill, noise_translation_m=0.003, noise_rotation_rad=0.01)
     assert (result.outcome, result.recovered, result.reason) == ("success", False, ""), result

@@ -121,7 +121,7 @@ def test_skipping_what_cannot_collide_misses_nothing(robot: str) -> None:
         assert referee.first_collision(path) == expected
 
 
-@pytest.mark.parametrize("robot", ["panda", "ur5", "xarm7"])
+@pytest.mark.parametrize("robot", ["panda", "ur5", pytest.param("xarm7", marks=pytest.mark.thorough)])
 def test_the_makers_description_and_ours_agree_on_the_tool(robot: str) -> None:
     from benchmarks.planner._problems import arm
     from benchmarks.planner._referee import Referee
@@ -134,7 +134,7 @@ def test_the_makers_description_and_ours_agree_on_the_tool(robot: str) -> None:
         np.testing.assert_allclose(ours.matrix, theirs.homogeneous, atol=1e-6)
 
 
-@pytest.mark.parametrize("robot", ["ur5", "xarm7"])
+@pytest.mark.parametrize("robot", ["ur5", pytest.param("xarm7", marks=pytest.mark.thorough)])
 def test_mounted_parts_may_touch_and_a_hand_in_the_arm_may_not(robot: str) -> None:
     from benchmarks.planner._problems import tabletop
     from benchmarks.planner._referee import Referee

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 from roboxim_core import limits
@@ -20,7 +21,11 @@ def config_dir() -> Path:
     Raises:
         ConfigError: When there is no such directory.
     """
-    given = os.environ.get("ROBOXIM_CONFIG_DIR")
+    return _with_robots(os.environ.get("ROBOXIM_CONFIG_DIR", ""))
+
+
+@cache
+def _with_robots(given: str) -> Path:
     candidates = [Path(given)] if given else [parent / "config" for parent in _PARENTS]
     for candidate in candidates:
         if (candidate / "robots").is_dir():

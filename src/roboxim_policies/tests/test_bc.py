@@ -348,6 +348,7 @@ def test_training_and_policy_compute_the_same_memory():
     assert features == pytest.approx(np.concatenate(remembered), abs=1e-5)
 
 
+@pytest.mark.thorough
 def test_gripper_opens_as_far_as_in_the_demonstrations(tmp_path):
     demonstrations = [episode(np.random.default_rng(i), ("red", "blue")[i % 2]) for i in range(24)]
     for shown in demonstrations:

@@ -27,7 +27,7 @@ from roboxim_eval.experiments.rotation import rotated
 from roboxim_eval.experiments.trainers import TRAINERS, TrainerConfig, trainer_config
 from roboxim_runs.experiments.delivery.demands import demands_in
 from roboxim_runs.experiments.trained.exports import require_readable
-from roboxim_tasks.config import task_mix
+from roboxim_tasks.config import TaskMix, task_mix
 
 
 def load_experiment(
@@ -222,17 +222,23 @@ def checked_design(name: str, config: ExperimentConfig, trainer: str = "") -> De
     """
     design = design_of(config, trainer_name(config, trainer))
     require_different(design)
-    once = {cell.key: 1 for cell in design.cells}
+    once = {cell.key: 1 for cell in design.cells}  # all mixes consist of these cells, with other counts
+    mix = task_mix(mix_of(config, once), source=f"experiment '{name}'")
     changes = [condition.set for condition in config.conditions.values()]
     for number, change in enumerate(changes):
-        if change not in changes[:number]:  # all mixes consist of these cells, with other counts
+        if change and change not in changes[:number]:
             task_mix(mix_of(config, once, change), source=f"experiment '{name}'")
-    _require_distinguishable(name, design)
+    _require_distinguishable(name, design, mix)
     return design
 
 
-def _require_distinguishable(name: str, design: Design) -> None:
+def _require_distinguishable(name: str, design: Design, mix: TaskMix) -> None:
     """Refuse an experiment whose demonstrations cannot be distinguished from those of a held-out cell.
+
+    Args:
+        name: Name of the experiment.
+        design: Its design.
+        mix: The mix of its cells.
 
     Raises:
         ConfigError: Naming the first two such cells, and the properties that distinguish cells.
@@ -241,7 +247,6 @@ def _require_distinguishable(name: str, design: Design) -> None:
     held_out = {data: [cell for cell in unseen if cell not in counts] for data, counts in design.datasets.items()}
     if not any(held_out.values()):
         return
-    mix = task_mix(mix_of(design.config, {cell.key: 1 for cell in design.cells}), source=f"experiment '{name}'")
     demands = demands_in(mix)
     for data, cells in held_out.items():
         for cell, other in undistinguished(demands, cells, design.datasets[data]):
