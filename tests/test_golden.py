@@ -31,7 +31,7 @@ EPISODES = {
     "pick_cube_ur5": 0,
 }
 """Episode indices by task; chosen to cover different skills, objects and motions."""
-QUICK = ("pick_cube_distractors", "open_drawer", "put_into")
+QUICK = ("pick_cube_distractors", "open_drawer")
 """Those of the default tests."""
 
 

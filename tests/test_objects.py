@@ -132,6 +132,7 @@ def test_an_object_rests_at_its_rest_height(object_id: str, client: BulletClient
         assert joints == pytest.approx([0.0] * len(joints), abs=1e-3)
 
 
+@pytest.mark.thorough
 @each_object
 def test_the_check_of_users_objects_finds_nothing_wrong(object_id: str) -> None:
     found, model = check_object(LIBRARY.path("objects", object_id), LIBRARY.robot("panda").gripper.max_opening_m)

@@ -122,6 +122,7 @@ CHEATS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", CHEATS)
 def test_cheats_fail_and_say_which_step(tmp_path, name):
     steps, reason, share = CHEATS[name]

@@ -94,6 +94,7 @@ def test_a_plug_in_may_import_the_placement_first() -> None:
     subprocess.run([sys.executable, "-c", "import roboxim_tasks.sampling.placement"], check=True)
 
 
+@pytest.mark.thorough
 def test_a_skill_alone_in_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (text,) = re.findall(r"^```python\n# my_skill.py\n(.*?)^```$", DOCUMENT.read_text(), re.DOTALL | re.MULTILINE)
     (tmp_path / "my_skill.py").write_text(text)

@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from roboxim_core.config import load_yaml, named_config
 from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_runs.episodes.task_choice import task_text
@@ -21,8 +22,8 @@ ANY_OBJECT = ("pick_up", "place_on", *RELATIONS, "rotate")
 DRAWERS = ("top", "middle", "bottom")
 ARTICULATED = {"flip_switch": "switch", "turn_knob": "knob", "open_door": "microwave", "close_door": "microwave"}
 """Skills of one object, whose configuration says it all."""
-LONG = ("two_steps", "drawer_chain", "tidy_up")
-"""Tasks of several steps: 2, 3 and 4."""
+LONG = tuple(load_yaml(named_config("suites", "long"))["cells"][0]["tasks"])
+"""Tasks of several steps."""
 
 
 @dataclass(frozen=True, kw_only=True)

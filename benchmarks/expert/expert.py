@@ -30,6 +30,8 @@ from roboxim_runs.executors import Job, LocalExecutor, Lost, Note, Work
 from roboxim_tasks.task_config import VisibleConfig
 
 CHUNK = 10
+PERIOD_S = 5.0
+"""Period of the progress bar, which is written to files too [s]."""
 QUICK_CELLS = (
     "pick_up/knife/3", "place_on/apple/3", "place_left_of/cucumber/3", "rotate/cube/3", "push_button/button/3",
     "open_drawer/middle/3",
@@ -100,7 +102,7 @@ def measure(
     outcomes = kept.load() if kept else {}
     total = sum(wanted.values())
     known = {name: [o for o in outcomes.get(name, []) if o["index"] < n] for name, n in wanted.items()}
-    with tqdm(total=total, initial=sum(map(len, known.values())), unit="episode", disable=None) as bar:
+    with tqdm(total=total, initial=sum(map(len, known.values())), unit="episode", mininterval=PERIOD_S) as bar:
         for done in run(missing(by_name, wanted, known), options):
             for outcome in done:
                 known[outcome["cell"]].append(outcome)

@@ -21,6 +21,7 @@ print(*sorted(heavy & sys.modules.keys()))
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("format", "expected"), [("rlds", []), ("hdf5", ["h5py"]), ("lerobot", ["pyarrow"])])
 def test_a_format_imports_its_own_libraries_alone(tmp_path, write, format, expected):
     write(tmp_path / "source", train=[0])

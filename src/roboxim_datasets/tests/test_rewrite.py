@@ -75,6 +75,7 @@ def test_a_dataset_is_divided_anew(tmp_path, write):
             split_plan(a, counts)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("format", "options", "shown"),
     [

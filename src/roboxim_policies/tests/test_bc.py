@@ -398,6 +398,7 @@ def test_a_displacement_in_the_tools_frame_turns_with_the_tool():
     assert np.asarray(head(jnp.ones((2, 4)), headings))[:, :2] == pytest.approx(np.array([[1, 0], [0, 1]]), abs=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("film", "outputs"), [(None, 2 * 2 * 8), (2, 2 * 2 * 8), (1, 2 * 8), (0, 0)])
 def test_the_instruction_modulates_as_many_convolutions_as_configured(film, outputs):
     encoder = PointEncoder(

@@ -80,6 +80,7 @@ def test_it_learns_to_follow_the_named_colour_also_in_words_that_are_new(family,
     assert validate(load_checkpoint(tmp_path), data(4)).motion_mm < 10
 
 
+@pytest.mark.thorough
 def test_a_history_begins_with_the_first_observation_and_never_reaches_into_another_episode():
     demonstrations = data(3)  # of 8 steps each
     supply = Supply(demonstrations, config("rt1s", history=3))

@@ -96,6 +96,7 @@ def test_rejected_goal_and_absent_server_are_distinguished(grip, graph_host):
         absent.run(_goal(0.5), wait_s=0.1)
 
 
+@pytest.mark.thorough
 def test_no_answer_is_lost_however_quick(grip):
     for number in range(200):
         goal = GripperCommand.Goal()

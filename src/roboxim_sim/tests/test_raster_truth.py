@@ -197,6 +197,7 @@ def drawn(world: RenderWorld, count: int) -> list[str]:
     return digests
 
 
+@pytest.mark.thorough
 def test_concurrent_renderers_never_return_foreign_or_stale_images(raster: RasterRenderer) -> None:
     worlds = [box_world((0.8, 0.1, 0.1)), box_world((0.1, 0.1, 0.8))]
     expected = [drawn(world, 6) for world in worlds]

@@ -411,6 +411,7 @@ def test_configurations_can_use_every_texture_of_the_room() -> None:
     assert {name for name in names if names[name].__module__ == textures.__name__} == set(ROOM_TEXTURES)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", list(textures.TEXTURES))
 def test_textures_are_deterministic(name: str) -> None:
     first = textures.pixels(name)

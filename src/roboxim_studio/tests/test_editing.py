@@ -31,6 +31,7 @@ def editor(studio, document):
     return studio.editor
 
 
+@pytest.mark.thorough
 def test_saved_yaml_gives_the_same_scene_hash_in_generation_and_evaluation(studio, editor, tmp_path):
     studio.editor._folder = tmp_path
     desk = editor.desk

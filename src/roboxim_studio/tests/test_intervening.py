@@ -65,6 +65,7 @@ def reader(shared):
     return BagReader(next((shared / "episodes").iterdir()))
 
 
+@pytest.mark.thorough
 def test_every_action_says_who_acted_and_the_episode_replays(reader, lab):
     acted = acted_by(reader)
     assert acted[:7] == TURNS

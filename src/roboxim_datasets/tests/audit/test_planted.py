@@ -116,6 +116,7 @@ def test_a_higher_rate_keeps_what_a_lower_one_plants() -> None:
     assert low.items() <= high.items()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_faults_that_nobody_named_are_found(seed: int, pool: list[AuditEpisode]) -> None:
     rng, auditor = np.random.default_rng(seed), Auditor()

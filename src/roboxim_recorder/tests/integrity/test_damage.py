@@ -108,6 +108,7 @@ def test_missing_metadata_is_found(bag):
     assert check_bag(bag).problems == ("its metadata.yaml cannot be read: No such file or directory",)
 
 
+@pytest.mark.thorough
 def test_every_changed_value_of_the_metadata_is_found(bag):
     path = bag / "metadata.yaml"
     text = path.read_text()

@@ -54,6 +54,7 @@ def planted_benchmark(tmp_path, monkeypatch):
     return file, calls
 
 
+@pytest.mark.thorough
 def test_a_benchmark_has_one_card_for_all_experiments(planted_benchmark, tmp_path):
     file, calls = planted_benchmark
     config = BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "out", trainings=2)
@@ -79,6 +80,7 @@ def test_a_benchmark_has_one_card_for_all_experiments(planted_benchmark, tmp_pat
     assert pack(tmp_path / "out", tmp_path / "all.tar.gz").files > 20
 
 
+@pytest.mark.thorough
 def test_a_benchmark_runs_its_episodes_where_it_is_told(planted_benchmark, tmp_path, monkeypatch):
     file, _ = planted_benchmark
     planted, cluster, nodes, used = benchmark.run_experiment, nullcontext(), object(), []
@@ -117,6 +119,7 @@ def test_experiments_that_ran_elsewhere_enter_a_benchmark_by_their_cards(planted
     assert "--card out/one/card.json" in (tmp_path / "out/report.html").read_text()
 
 
+@pytest.mark.thorough
 def test_cards_that_do_not_belong_to_a_benchmark_are_refused(planted_benchmark, tmp_path, monkeypatch):
     file, _ = planted_benchmark
     whole = run_benchmark(BenchmarkRunConfig(benchmark=str(file), scale="night", out=tmp_path / "whole")).card

@@ -288,6 +288,7 @@ def test_a_script_may_be_the_trainer_of_roboxim(tmp_path):
 # ------------------------------------------------------------------ trainings as jobs of an executor
 
 
+@pytest.mark.thorough
 def test_workers_of_an_executor_train(trainers):
     events = []
     with trainers.begun(3, at_once=2, executor=True, on_event=events.append) as result:
@@ -306,6 +307,7 @@ def test_workers_of_an_executor_train(trainers):
     assert list((trainers.place / "out/train").glob(".*")) == []
 
 
+@pytest.mark.thorough
 def test_a_training_of_an_executor_that_fails_ends_the_run(trainers):
     with trainers.begun(3, at_once=2, executor=True) as result, trainers.gate(0):
         with trainers.gate(1) as gate:
@@ -317,6 +319,7 @@ def test_a_training_of_an_executor_that_fails_ends_the_run(trainers):
     assert "begins 2" not in (trainers.place / "journal").read_text()
 
 
+@pytest.mark.thorough
 def test_trainings_of_an_executor_are_cancelled_with_checkpoints(trainers):
     cancellation, events = threading.Event(), []
     begun = trainers.begun(2, at_once=2, executor=True, cancellation=cancellation, on_event=events.append)
