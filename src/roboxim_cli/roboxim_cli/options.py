@@ -227,6 +227,10 @@ TASK_WORDS = ("task", "skill", "suite", *TASK_CHANGES)
 """Options that choose a task and change it, as `roboxim_runs.episodes.task_choice.task_text` takes them."""
 
 
+ABSENT_IS_ZERO = dict(default=None, callback=lambda _context, _option, value: value or 0)
+"""Settings of a count that is 0 when it is not given; a given 0 is refused, since it would mean the default."""
+
+
 def option(*words: str, **changes: Any) -> Decorator:
     """Return a decorator that adds a shared option.
 
@@ -305,7 +309,7 @@ def episode_options(*, episodes: int, out: str) -> Decorator:
         *task_options(),
         option("out", default=out, help="Run's folder."),
         option(
-            "episodes", default=0, type=click.IntRange(0), show_default=f"{episodes}; of a mix, its own number",
+            "episodes", **ABSENT_IS_ZERO, show_default=f"{episodes}; of a mix, its own number",
             help="Number of episodes.",
         ),
         option("seed"),

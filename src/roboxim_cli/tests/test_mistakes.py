@@ -136,6 +136,20 @@ def test_resources_that_are_none_are_refused_with_an_example(text):
         parse_resources("--resources", text)
 
 
+@pytest.mark.parametrize(
+    "command", ["generate", "evaluate", "pretrain act", "train bc x", "replay x", "dataset audit x"]
+)
+def test_no_episodes_are_not_the_default_number(command):
+    result = CliRunner().invoke(group, [*command.split(), "--episodes", "0"])
+    assert result.exit_code == 2
+    assert "Invalid value for '--episodes': 0 is not in the range x>=1" in result.output
+
+
+def test_the_name_of_a_subcommand_alone_is_found_in_its_group():
+    assert "no command 'audit'; did you mean 'roboxim dataset audit'?" in CliRunner().invoke(group, ["audit"]).output
+    assert "no command 'generat'; did you mean 'generate'?" in CliRunner().invoke(group, ["generat"]).output
+
+
 def test_an_audit_of_a_benchmark_names_faults_and_ends_with_code_1(tmp_path):
     (tmp_path / "mine.py").write_text("def balance():\n    return lambda seen, words: int(seen[2] + seen[3] > 0)\n")
     words = ["audit-benchmark", "CartPole-v1", "--episodes", "2", "--solver", f"{tmp_path / 'mine.py'}:balance"]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.options import Place, option
+from roboxim_cli.options import ABSENT_IS_ZERO, Place, option
 
 if TYPE_CHECKING:
     from roboxim_datasets.audit import AuditResult
@@ -46,7 +46,7 @@ def _list_checks(context: click.Context, _: click.Parameter, value: bool) -> Non
 @option("out", help="Folder of the report; default: none is written.")
 @click.option("--replay", is_flag=True, help="Also execute the bags' actions again.")
 @click.option("--no-render", is_flag=True, help="Leave out the checks that need a renderer.")
-@option("episodes", type=click.IntRange(0), default=0, show_default="all", help="Audit the first episodes only.")
+@option("episodes", **ABSENT_IS_ZERO, show_default="all", help="Audit the first episodes only.")
 @click.option(
     "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_checks, help="List the checks and exit."
 )

@@ -11,7 +11,7 @@ import click
 
 from roboxim_bringup.attach import attach_options, join_run
 from roboxim_cli import strict
-from roboxim_cli.options import option
+from roboxim_cli.options import ABSENT_IS_ZERO, option
 from roboxim_core.whole_files import write_whole
 
 
@@ -22,7 +22,7 @@ from roboxim_core.whole_files import write_whole
     "--bags", type=click.Path(exists=True, path_type=Path), multiple=True,
     help="Runs or bags that a dataset was exported from; default: the runs beside it and above it. May be repeated.",
 )  # fmt: skip
-@option("episodes", type=click.IntRange(0), default=0, show_default="all", help="Episodes of a dataset, spread evenly.")
+@option("episodes", **ABSENT_IS_ZERO, show_default="all", help="Episodes of a dataset, spread evenly.")
 @click.option("--labels/--no-labels", default=True, show_default=True, help="Also execute a dataset's labels alone.")
 @option("workers", default=1, help="Processes, for datasets.")
 @click.option("--format", "kind", default="", help="Format of a dataset; default: found from its files.")

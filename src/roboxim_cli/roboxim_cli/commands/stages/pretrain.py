@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.options import option
+from roboxim_cli.options import ABSENT_IS_ZERO, option
 from roboxim_policies.learning.families import FAMILIES
 
 
@@ -17,7 +17,7 @@ from roboxim_policies.learning.families import FAMILIES
 @option("out", default="runs/pretrain", help="Folder of everything.")
 @click.option("--name", default="", help="Name of the checkpoint; default: that of the folder.")
 @option("suite", default="pretrain", show_default=True, help="Suite of config/suites that is demonstrated.")
-@option("episodes", default=0, type=click.IntRange(0), show_default="the suite's", help="Number of demonstrations.")
+@option("episodes", **ABSENT_IS_ZERO, show_default="the suite's", help="Number of demonstrations.")
 @click.option("--steps", type=click.IntRange(1), help="Optimiser steps; default: the configuration's.")
 @click.option("--config", type=click.Path(path_type=Path), help="YAML file with fields of the family's configuration.")
 @click.option(

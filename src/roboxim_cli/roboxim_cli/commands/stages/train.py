@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.options import option
+from roboxim_cli.options import ABSENT_IS_ZERO, option
 
 
 @strict.group()
@@ -44,7 +44,7 @@ def _training(family: str, config: str) -> Callable[[Callable[[], None]], click.
             "--until", type=click.IntRange(1), default=None, help="End after this step for now; it can be continued."
         ),
         option(
-            "episodes", type=click.IntRange(0), default=0, show_default="all", help="Largest number of episodes to use."
+            "episodes", **ABSENT_IS_ZERO, show_default="all", help="Largest number of episodes to use."
         ),
     ]  # fmt: skip
 
