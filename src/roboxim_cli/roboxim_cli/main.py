@@ -72,15 +72,14 @@ class LazyGroup(strict.Group):
             from roboxim_core.errors import one_of
 
             inside = " or ".join(f"'roboxim {group} {name}'" for group in self._groups_with(ctx, name))
-            ctx.fail(
-                f"no command '{name}'; {f'did you mean {inside}?' if inside else one_of(self.list_commands(ctx), name)}"
-            )
+            hint = f"did you mean {inside}?" if inside else one_of(self.list_commands(ctx), name)
+            ctx.fail(f"no command '{name}'; {hint}")
         return super().resolve_command(ctx, args)
 
     def _groups_with(self, ctx: click.Context, name: str) -> list[str]:
         """Return the names of the subcommands that have a subcommand of this name."""
         groups = ((known, self.get_command(ctx, known)) for known in self.list_commands(ctx))
-        return [known for known, group in groups if isinstance(group, click.Group) and name in group.list_commands(ctx)]
+        return [known for known, group in groups if isinstance(group, strict.Group) and name in group.list_commands(ctx)]
 
     def invoke(self, ctx: click.Context) -> object:
         """Run a subcommand. Its exit code ends the process; without standalone mode click would return the code."""

@@ -34,7 +34,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-class _Dumper(yaml.CSafeDumper):
+class _Dumper(yaml.CSafeDumper):  # type: ignore[misc]  # PyYAML has no types
     """A dumper that keeps texts of several lines readable."""
 
 
