@@ -108,7 +108,7 @@ def pretrain(
     )  # fmt: skip
     made.require_any()
     export_dataset(
-        "rlds", out / "demos", out / "rlds", ExportConfig(val_fraction=0.0), on_event=on_event,
+        "rlds", out / "demos", out / "rlds", ExportConfig(val_fraction=0.0, uneven=True), on_event=on_event,
         cancellation=cancellation,
     )  # fmt: skip
     training = train_policy(

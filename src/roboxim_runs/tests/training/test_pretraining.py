@@ -53,13 +53,15 @@ def test_a_name_is_a_files_name():
 @pytest.mark.slow
 def test_it_is_packed_continued_and_fine_tuned(tmp_path):
     learning = BCConfig(steps=3, batch=8, image_sizes={"workspace": 32, "wrist": 32})
-    config = PretrainConfig(learning=learning, out=tmp_path / "broad", episodes=2, size=64, workers=1)
+    suite = tmp_path / "uneven.yaml"  # as the shipped one, which demonstrates some skills twice as often
+    suite.write_text("cells: [{tasks: [pick_up], episodes: 2}, {tasks: [push_button], episodes: 1}]\n")
+    config = PretrainConfig(learning=learning, out=tmp_path / "broad", suite=str(suite), size=64, workers=1)
     result = pretrain(config)
     assert result.checkpoint == tmp_path / "broad" / "broad.npz"
     packed = load_checkpoint(result.checkpoint)
     assert packed.original_sha256
     assert packed.pretraining["name"] == "broad"
-    assert packed.pretraining["exposure"]["episodes"] == 2
+    assert packed.pretraining["exposure"]["skills"] == {"pick_up": 2, "push_button": 1}
     assert json.loads((tmp_path / "broad" / "exposure.json").read_text()) == packed.pretraining
     before = result.checkpoint.stat().st_mtime_ns
     assert pretrain(config).training.steps_now == 0
