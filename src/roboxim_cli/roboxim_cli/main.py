@@ -79,7 +79,9 @@ class LazyGroup(strict.Group):
     def _groups_with(self, ctx: click.Context, name: str) -> list[str]:
         """Return the names of the subcommands that have a subcommand of this name."""
         groups = ((known, self.get_command(ctx, known)) for known in self.list_commands(ctx))
-        return [known for known, group in groups if isinstance(group, strict.Group) and name in group.list_commands(ctx)]
+        return [
+            known for known, group in groups if isinstance(group, strict.Group) and name in group.list_commands(ctx)
+        ]
 
     def invoke(self, ctx: click.Context) -> object:
         """Run a subcommand. Its exit code ends the process; without standalone mode click would return the code."""

@@ -7,6 +7,7 @@ continues an interrupted sweep.
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -59,7 +60,8 @@ def checkpoint_policies(checkpoints: Sequence[Path]) -> list[PolicySpec]:
     for path in checkpoints:
         family = family_in(read_description(path))
         file = checkpoint_file(path)
-        name = file.parent.name if file.name == "checkpoint.npz" else file.stem
+        name = file.resolve().parent.name if file.name == "checkpoint.npz" else file.stem
+        name = re.sub(r"[^\w-]", "-", name).lstrip("-") or family  # of the trainings of an experiment, e.g. baseline.0
         policies.append(PolicySpec(spec=family, name=name, options={CHECKPOINT: str(path)}))
     several = {name for name, count in Counter(policy.name for policy in policies).items() if count > 1}
     return [

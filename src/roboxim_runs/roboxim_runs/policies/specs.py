@@ -187,7 +187,7 @@ def _found(policy: Any) -> ChosenPolicy:
     if not isinstance(policy, PolicySpec):
         own = own_policy(policy)
         return ChosenPolicy(name=own.cls.__name__, spec=own.spec, make=own.cls, own=own)
-    chosen = _named(f"{policy.name}={policy.spec}" if policy.name else policy.spec)
+    chosen = _chosen(policy.name, policy.spec) if policy.name else _named(policy.spec)
     return replace(chosen, options=dict(policy.options))
 
 
@@ -207,8 +207,12 @@ def _by_name(policies: Sequence[ChosenPolicy]) -> dict[str, ChosenPolicy]:
 def _named(word: str) -> ChosenPolicy:
     """Find a policy by ``[NAME=]SPEC``."""
     found = re.fullmatch(rf"({NAME})=(.+)", word)
-    spec = found[2] if found else word
-    name = found[1] if found else Path(spec).name.rpartition(":")[2] or spec
+    return _chosen(found[1], found[2]) if found else _chosen("", word)
+
+
+def _chosen(name: str, spec: str) -> ChosenPolicy:
+    """Find a policy; without a name it has that of its class or of the registry."""
+    name = name or Path(spec).name.rpartition(":")[2] or spec
     if len(name) > LONGEST_NAME:
         raise ConfigError(
             f"the policy's name '{name[:40]}...' has {len(name)} characters, at most {LONGEST_NAME} fit a folder; "
@@ -218,7 +222,7 @@ def _named(word: str) -> ChosenPolicy:
     make = _find(spec)
     if not re.fullmatch(NAME, name):
         raise ConfigError(
-            f"policy '{word}' gives no name for its folder; name it with letters, digits, - and _, e.g. "
+            f"policy '{spec}' gives no name for its folder: '{name}'; name it with letters, digits, - and _, e.g. "
             "'mine=file.py:MyPolicy'"
         )
     return ChosenPolicy(name=name, spec=spec, make=make)

@@ -1,6 +1,7 @@
 """A sweep plays the same scenes with the better half again, and fresh scenes with the winner alone."""
 
 import json
+import re
 
 import pytest
 
@@ -10,7 +11,7 @@ from roboxim_eval.answers.halving import HalvingConfig
 from roboxim_runs.evaluation import sweeping
 from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
 from roboxim_runs.evaluation.run import EvaluationConfig
-from roboxim_runs.policies.specs import PolicySpec
+from roboxim_runs.policies.specs import NAME, PolicySpec
 
 SKILL = {"good": 9, "fair": 6, "poor": 2, "bad": 0}
 """Policy to the scenes, of ten, in which it succeeds."""
@@ -68,6 +69,10 @@ def test_checkpoints_are_named_by_their_folders_and_apart(monkeypatch):
     from pathlib import Path
 
     paths = [Path("runs/a/checkpoint.npz"), Path("other/a/checkpoint.npz"), Path("runs/broad.npz")]
+    paths += [Path("night/train/baseline.0/checkpoint.npz")]  # as an experiment names its trainings
     found = sweeping.checkpoint_policies(paths)
-    assert [(policy.spec, policy.name) for policy in found] == [("act", "a-1"), ("act", "a-2"), ("act", "broad")]
+    assert {policy.spec for policy in found} == {"act"}
+    names = [policy.name for policy in found]
+    assert names == ["a-1", "a-2", "broad", "baseline-0"]
+    assert all(re.fullmatch(NAME, name) for name in names), "a name that no evaluation takes"
     assert found[0].options == {"checkpoint": "runs/a/checkpoint.npz"}
