@@ -71,13 +71,14 @@ def task_text(
     from roboxim_tasks.config import any_task_config
 
     text, source = _base(task, _words(skill), suite, whole=not cameras, by_look=bool(look))
-    any_task_config(parse_yaml(text, source=source), source=source)
+    task_data = parse_yaml(text, source=source)
+    any_task_config(task_data, source=source)
     reset = _reset_changes(cameras, lights, textures, look)
     if not cameras and not is_path(task) and _is_built_in(source):
-        reset = merged(_whole_view(parse_yaml(text, source=source), by_look=bool(look)), reset)
+        reset = merged(_whole_view(task_data, by_look=bool(look)), reset)
     if not (objects or distractors or colors or reset or robot):
         return text
-    data: dict[str, Any] = yaml_text.parse(text) or {}
+    data: dict[str, Any] = yaml_text.plain(task_data)
     changed = data
     if "cells" in data:
         if objects:

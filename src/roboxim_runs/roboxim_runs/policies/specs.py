@@ -222,7 +222,7 @@ def _chosen(name: str, spec: str) -> ChosenPolicy:
     make = _find(spec)
     if not re.fullmatch(NAME, name):
         raise ConfigError(
-            f"policy '{spec}' gives no name for its folder: '{name}'; name it with letters, digits, - and _, e.g. "
+            f"'{name}' cannot name the folder of the policy '{spec}'; name it with letters, digits, - and _, e.g. "
             "'mine=file.py:MyPolicy'"
         )
     return ChosenPolicy(name=name, spec=spec, make=make)
