@@ -14,13 +14,14 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
 from roboxim_core.proprioception import Proprioception
 from roboxim_policies.bc.config import BCConfig
+from roboxim_policies.learning.augment import augmentation
 from roboxim_policies.learning.checkpoint import load_checkpoint, policy_only
 from roboxim_policies.learning.data import Demonstration, Demonstrations, assemble
 from roboxim_policies.learning.features import GraspMemory, proprio_features, state_features, word_indices
 from roboxim_policies.learning.layers import TargetHead
 from roboxim_policies.learning.points import PointEncoder
 from roboxim_policies.learning.policy import LearnedPolicy
-from roboxim_policies.learning.samples import Samples, augmentation
+from roboxim_policies.learning.samples import Samples
 from roboxim_policies.learning.train import Trainer, statistics
 from roboxim_policies.learning.validation import validate
 

@@ -14,7 +14,9 @@ class BCConfig(LearningConfig):
     """Network and training of a behaviour-cloning policy. Time is counted in steps, never in seconds."""
 
     FAMILY: ClassVar[str] = "bc"
-    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("decay_to", "film", "held_out", "patience")
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = (
+        *LearningConfig.LEFT_OUT_AT_DEFAULT, "decay_to", "film", "held_out", "patience",
+    )  # fmt: skip
     """Later fields, see `roboxim_core.config.LEFT_OUT`: trainings without them are continued."""
 
     channels: int = 48

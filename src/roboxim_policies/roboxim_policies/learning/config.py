@@ -7,11 +7,15 @@ from typing import ClassVar
 
 from roboxim_core.errors import ConfigError
 
+MAX_PATCHES = 32
+
 
 @dataclass(frozen=True, kw_only=True)
 class LearningConfig:
     """Training of a policy from demonstrations. Time is counted in steps, never in seconds."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("color_mix", "overlay", "patches", "word_dropout")
+    """Later fields, see `roboxim_core.config.LEFT_OUT`: trainings without them are continued."""
     FAMILY: ClassVar[str] = ""
     """Name of the family."""
     ENCODER: ClassVar[bool] = False
@@ -58,6 +62,15 @@ class LearningConfig:
     """Largest relative change of an image's brightness in training."""
     shift_px: int = 0
     """Largest random shift of an image in training [px of the network's input]."""
+    color_mix: float = 0.0
+    """Strength of a random linear map of an image's colours in training, 0..1: a new look of everything seen."""
+    overlay: float = 0.0
+    """Largest weight of a smooth field of random colours that is laid over an image in training, 0..1 (exclusive)."""
+    patches: int = 0
+    """Largest number of ellipses of random colours pasted into an image in training: things that do not matter."""
+    word_dropout: float = 0.0
+    """Probability that a word of the instruction is left out of a training sample, 0..1 (exclusive), as a word that was
+    not trained on is left out. For families that read words."""
     checkpoint_every: int = 250
     """Steps between checkpoints."""
 
@@ -103,8 +116,13 @@ class LearningConfig:
             raise ConfigError(f"learning_rate must be > 0, got {self.learning_rate}")
         if not 0 <= self.decay_to <= 1:
             raise ConfigError(f"decay_to must be 0..1, got {self.decay_to}")
-        if not 0 <= self.ema_decay < 1:
-            raise ConfigError(f"ema_decay must be 0..1 (exclusive), got {self.ema_decay}")
+        for name in ("ema_decay", "overlay", "word_dropout"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ConfigError(f"{name} must be 0..1 (exclusive), got {getattr(self, name)}")
+        if not 0 <= self.color_mix <= 1 or not 0 <= self.patches <= MAX_PATCHES:
+            raise ConfigError(
+                f"color_mix must be 0..1 and patches 0..{MAX_PATCHES}, got {self.color_mix} and {self.patches}"
+            )
         if min(self.held_out, self.patience) < 0 or (self.patience and not self.held_out):
             raise ConfigError(
                 f"held_out and patience must be >= 0, and patience needs held_out: got {self.held_out}, {self.patience}"

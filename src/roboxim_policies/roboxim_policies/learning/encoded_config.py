@@ -15,7 +15,7 @@ class EncodedConfig(LearningConfig):
     """Training of a policy on EfficientNet-Lite0 (ImageNet) and the Universal Sentence Encoder."""
 
     ENCODER: ClassVar[bool] = True
-    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("wordings",)
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = (*LearningConfig.LEFT_OUT_AT_DEFAULT, "wordings")
     """Later fields, see `roboxim_core.config.LEFT_OUT`: trainings without them are continued."""
 
     image_sizes: dict[str, int] | None = None
@@ -84,5 +84,7 @@ class EncodedConfig(LearningConfig):
             raise ConfigError(f"feature_dropout must be 0..1, got {self.feature_dropout}")
         if self.wordings:
             require_set(self.wordings)
+        if self.word_dropout:
+            raise ConfigError("word_dropout must be 0: this family reads whole sentences; see sentence_noise, wordings")
         if self.shift_px:
             raise ConfigError("shift_px must be 0: features of the pictures are computed once, before the training")

@@ -1,15 +1,10 @@
-"""The training data as arguments of the compiled step, its augmentation, and the loss.
-
-Augmentation is a function of seed and step, drawn on the host; see `augmentation`.
-"""
+"""The training data as arguments of the compiled step, and the loss."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
@@ -17,11 +12,11 @@ import optax
 from jax import Array
 
 from roboxim_core.vision.images import resized
+from roboxim_policies.learning.augment import seen
 from roboxim_policies.learning.checkpoint import Statistics
 from roboxim_policies.learning.config import LearningConfig
 from roboxim_policies.learning.data import CLOSED_BELOW, Demonstrations, Images
-from roboxim_policies.learning.encoded_config import EncodedConfig
-from roboxim_policies.learning.features import PROPRIO_SIZE, memory_features
+from roboxim_policies.learning.features import memory_features
 from roboxim_policies.learning.layers import Inputs, Network, Prediction
 
 Floats = npt.NDArray[np.float32]
@@ -128,13 +123,15 @@ class Samples(eqx.Module):
         yaw = self.yaw[batch]
         heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
         state = jnp.concatenate([proprio, self._memory(batch, draws["late"], heading, failed)], axis=-1)
-        seen = {name: self._seen(name, batch, draws, config) for name in self.images}
+        images = {name: self._seen(name, batch, draws, config) for name in self.images}
         for name, features in draws.get("features", {}).items():
             kept = draws[f"{name.partition('/')[0]}/kept"]
-            seen[name] = features * kept.astype(features.dtype)
+            images[name] = features * kept.astype(features.dtype)
         words = self.words[batch]
+        if "words" in draws:
+            words = words * draws["words"]
         inputs = Inputs(
-            images=seen, state=(state - self.mean) / self.scale, heading=heading,
+            images=images, state=(state - self.mean) / self.scale, heading=heading,
             words=words if self.sentences is None
             else self.sentences[words, draws["wording"]] + draws.get("word_noise", 0.0),
             present=draws.get("present"),
@@ -160,42 +157,12 @@ class Samples(eqx.Module):
         return features
 
     def _seen(self, camera: str, batch: Array, draws: dict[str, Array], config: LearningConfig) -> Array:
-        pixels = self.images[camera][batch].astype(jnp.float32) / 255.0
-        pixels = jnp.clip(pixels * draws[f"{camera}/gain"], 0, 1) - 0.5
-        return _shifted(pixels, draws[f"{camera}/shift"], config.shift_px) if config.shift_px else pixels
-
-
-def augmentation(config: LearningConfig, cameras: tuple[str, ...], step: int, batch: int) -> dict[str, Array]:
-    """Draw a step's augmentation, which is a function of seed and step."""
-    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(1, step)))
-    draws: dict[str, np.ndarray[Any, Any]] = {
-        "proprio": rng.normal(size=(batch, PROPRIO_SIZE)).astype(np.float32),
-        "late": rng.integers(0, config.execute, batch, dtype=np.int32),
-        "retry": rng.uniform(size=batch).astype(np.float32),
-    }
-    for camera in cameras:
-        light = 1 + config.brightness * rng.uniform(-1, 1, (batch, 1, 1, 1))
-        color = 1 + 0.2 * config.brightness * rng.uniform(-1, 1, (batch, 1, 1, 3))
-        draws[f"{camera}/gain"] = (light * color).astype(np.float32)
-        draws[f"{camera}/shift"] = rng.integers(0, 2 * config.shift_px + 1, (batch, 2), dtype=np.int32)
-    if isinstance(config, EncodedConfig):
-        for camera in cameras:
-            draws[f"{camera}/kept"] = rng.uniform(size=(batch, 1, 1, 1)) >= config.feature_dropout
-    return {name: jnp.asarray(value) for name, value in draws.items()}
+        return seen(self.images[camera][batch].astype(jnp.float32) / 255.0, camera, draws, config)
 
 
 def smaller(images: Images, side: int) -> Images:
     """Return pictures of shape (N, height, width, 3) with a side of ``side`` pixels."""
     return images if images.shape[1] == side else np.stack([resized(image, side, side) for image in images])
-
-
-def _shifted(pixels: Array, offsets: Array, max_shift: int) -> Array:
-    side = pixels.shape[1]
-    padded = jnp.pad(pixels, ((0, 0), (max_shift, max_shift), (max_shift, max_shift), (0, 0)), mode="edge")
-    cut: Callable[..., Array] = jax.vmap(
-        lambda image, offset: jax.lax.dynamic_slice(image, (offset[0], offset[1], 0), (side, side, 3))
-    )
-    return cut(padded, offsets)
 
 
 def loss_of(network: Network, inputs: Inputs, wanted: Wanted, config: LearningConfig) -> tuple[Array, dict[str, Array]]:

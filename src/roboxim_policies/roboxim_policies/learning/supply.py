@@ -17,10 +17,11 @@ from jax import Array
 from roboxim_core.plain_data.wordings import reworded
 from roboxim_policies.encoders.feature_cache import Features, features_of
 from roboxim_policies.encoders.sentences import SIZE, embeddings
+from roboxim_policies.learning.augment import augmentation, kept_words
 from roboxim_policies.learning.checkpoint import Statistics
 from roboxim_policies.learning.config import LearningConfig
 from roboxim_policies.learning.data import Demonstrations
-from roboxim_policies.learning.samples import Samples, augmentation
+from roboxim_policies.learning.samples import Samples
 
 Indices = npt.NDArray[Any]
 
@@ -78,6 +79,8 @@ class Supply:
         draws: dict[str, Any] = augmentation(self._config, self._cameras, step, len(indices))
         if self._config.sentences:
             draws |= self._worded(step, len(last))
+        else:
+            draws |= kept_words(self._config, step, (len(indices), self._data.words.shape[1]))
         return jnp.asarray(indices), draws | self.given(indices, present)
 
     def given(self, indices: Indices, present: npt.NDArray[np.bool_] | None = None) -> dict[str, Any]:

@@ -221,6 +221,23 @@ class Trainer:
             now = Chosen(step=step, loss=loss, held_out=self._held_out.episodes, checks=checks, since=0)
             self._at = (*state[:3], state[2]), step, now
 
+    def first_batch(self, count: int) -> dict[str, tuple[Array, Array]]:
+        """Return pictures of the first step's samples: as recorded, and as that step shows them to the network.
+
+        Args:
+            count: Most samples.
+
+        Returns:
+            By camera, twice shape (N, side, side, 3), in 0..1.
+        """
+        batch, draws = self._supply.batch(0)
+        inputs, _ = self._samples.draw(batch, draws, self.config)
+        newest = slice(self.config.frames - 1, count * self.config.frames, self.config.frames)
+        return {
+            name: (self._samples.images[name][batch[newest]] / 255.0, inputs.images[name][newest] + 0.5)
+            for name in self.cameras
+        }
+
     def _report(self, recent: list[dict[str, Array]], seconds: float, steps: int) -> TrainProgress:
         parts = {name: float(np.mean([float(p[name]) for p in recent])) for name in recent[0]}
         speed = steps / seconds if steps and seconds > 0 else 0.0

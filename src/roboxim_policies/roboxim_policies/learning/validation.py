@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from roboxim_policies.learning.augment import without_augmentation
 from roboxim_policies.learning.checkpoint import Checkpoint, Statistics
 from roboxim_policies.learning.config import LearningConfig
 from roboxim_policies.learning.data import CLOSED_BELOW, Demonstrations
@@ -53,7 +54,7 @@ def validate(checkpoint: Checkpoint, data: Demonstrations) -> ValidationErrors:
         data: Demonstrations with the vocabulary of the training data (``assemble(like=...)``).
     """
     cameras = tuple(sorted(data.images))
-    config = replace(checkpoint.config, retry=0.0, shift_px=0)
+    config = without_augmentation(checkpoint.config)
     _, network_of = make_network(config, cameras, len(data.vocabulary), 0)
     network, stats = network_of(jnp.asarray(checkpoint.arrays[-1])), checkpoint.stats
     supply = Supply(data, config)
@@ -106,7 +107,7 @@ class HeldOut:
             stats: Normalisation of the training data.
             cameras: Names of the cameras.
         """
-        config = replace(config, retry=0.0, shift_px=0, held_out=0, patience=0)
+        config = replace(without_augmentation(config), held_out=0, patience=0)
         supply = Supply(data, config)
         _, network_of = make_network(config, cameras, len(data.vocabulary), 0)
         chosen = np.arange(0, len(data), -(-len(data) // MAX_SAMPLES))

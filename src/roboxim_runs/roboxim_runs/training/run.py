@@ -10,6 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
 from roboxim_core.config import from_plain, load_yaml, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json_object
@@ -27,6 +31,10 @@ from roboxim_runs.executors import Cancellation
 from roboxim_runs.policies.specs import CHECKPOINT, PolicySpec
 from roboxim_runs.storage.folder import checked_path, locked, make_folder
 
+FIRST_BATCH = "first_batch.png"
+"""File in a training's folder that shows its first samples."""
+SHOWN = 10
+"""Samples in that picture."""
 TRAINED_ON = "trained_on.json"
 """File in a training's folder that names the export which the trainer read: its identity and cells."""
 
@@ -125,6 +133,11 @@ def train_policy(
         def training(progress: TrainProgress) -> None:
             report(progress.step, note=f"loss {progress.loss:.3f}, {progress.steps_per_s:.1f} steps/s")
 
+        if before == 0:
+            write_first_batch(trainer.first_batch(SHOWN), folder / FIRST_BATCH)
+            reporter.notice(
+                f"a picture of its first samples, recorded and as the network sees them: {folder / FIRST_BATCH}"
+            )
         if not trainer.done:
             reporter.notice(f"continuing from step {before}" if before else "")
             with reporter.resumable(unfinished), reporter.stage("training", settings.steps, "steps", before) as report:
@@ -141,6 +154,20 @@ def train_policy(
 
 def _ignore_progress(done: int, total: int) -> None:
     """Ignore progress."""
+
+
+def write_first_batch(samples: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]], file: Path) -> None:
+    """Write a picture of samples: for each camera a row of what was recorded, below it a row of what a network sees.
+
+    Args:
+        samples: By camera, the recorded and the seen pictures, each of shape (N, side, side, 3) in 0..1.
+        file: The PNG file.
+    """
+    rows = [np.concatenate(np.asarray(pictures), axis=1) for each in samples.values() for pictures in each]
+    width = max(row.shape[1] for row in rows)
+    padded = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=1.0) for row in rows]
+    picture = Image.fromarray((255 * np.concatenate(padded).clip(0, 1)).round().astype(np.uint8))
+    picture.resize((2 * picture.width, 2 * picture.height), Image.Resampling.NEAREST).save(file)
 
 
 def name_dataset(dataset: Path, training: Path) -> None:
