@@ -99,8 +99,15 @@ def _looks(config: LearningConfig, rng: np.random.Generator, batch: int) -> Draw
         )
         found["patch/angle"] = rng.uniform(0, np.pi, shape)
         found["patch/shadow"] = rng.uniform(-1, 1, (*shape, 2)) * longer  # its displacement; all of it may be hidden
-        found["patch/color"] = rng.uniform(size=(*shape, 3))
+        found["patch/color"] = _hues(rng, shape)
     return {name: value.astype(np.float32) for name, value in found.items()}
+
+
+def _hues(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
+    """Draw colours of any hue, most of them strong: each resembles some object. Shape (..., 3), in 0..1."""
+    hue, saturation, value = (rng.uniform(least, 1, (*shape, 1)) for least in (0, 0.3, 0.3))
+    pure = np.clip(np.abs((6 * hue + np.array([0, 4, 2])) % 6 - 3) - 1, 0, 1)
+    return np.asarray(value * (1 - saturation * (1 - pure)))
 
 
 def seen(pixels: Array, camera: str, draws: dict[str, Array], config: LearningConfig) -> Array:
