@@ -1,7 +1,7 @@
 """Augmented pictures and words differ from the recorded ones as configured, and in nothing else."""
 
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -12,6 +12,8 @@ from roboxim_core.config import to_json
 from roboxim_core.errors import ConfigError
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.learning.augment import PATCH_RADII, SHADOW, augmentation, kept_words, seen, without_augmentation
+from roboxim_policies.learning.config import RANGES
+from roboxim_policies.learning.families import FAMILIES, config_class
 from roboxim_policies.learning.train import Trainer
 from roboxim_policies.rt1s.config import RT1SConfig
 
@@ -98,13 +100,40 @@ def test_trainings_without_augmentation_keep_their_identity():
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"overlay": 1.0}, "overlay must be 0..1"), ({"word_dropout": -0.1}, "word_dropout must be 0..1"),
-        ({"color_mix": 1.1}, "color_mix must be 0..1"), ({"patches": 33}, "patches 0..32"),
+        ({"overlay": 1.1}, "overlay must be 0..1, got 1.1"), ({"word_dropout": -0.1}, "word_dropout must be 0..1"),
+        ({"color_mix": 1.1}, "color_mix must be 0..1"), ({"patches": 33}, "patches must be 0..32"),
+        ({"shift_px": -1}, "shift_px must be 0..64"), ({"seed": -1}, "seed must be 0..4294967295, got -1"),
+        ({"retry": 7.0}, "retry must be 0..1"), ({"weight_decay": -5.0}, "weight_decay must be 0..1"),
+        ({"brightness": -3.0}, "brightness must be 0..1"), ({"steps": 0}, "steps must be >= 1, got 0"),
     ],
 )  # fmt: skip
 def test_a_strength_out_of_range_is_named(changes, said):
     with pytest.raises(ConfigError, match=said):
         BCConfig(**changes)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_number_of_a_family_has_a_range(family):
+    checked = {"ema_decay", "film", "image_sizes", "learning_rate", "wordings"}
+    assert {field.name for field in fields(config_class(family))} <= RANGES.keys() | checked
+
+
+def poisoned(trainer: Trainer) -> Trainer:
+    (weights, *others), step, chosen = trainer._at
+    trainer._at = (weights * np.inf, *others), step, chosen
+    return trainer
+
+
+def test_a_training_that_diverges_says_so_and_keeps_the_checkpoint_before(tmp_path):
+    checkpoint = Trainer(data(), CONFIG, tmp_path / "old").run(until=4)
+    before = checkpoint.read_bytes()
+    said = "has diverged: the loss is not finite at step 10; .* is as it was after an earlier step.*below 0.003"
+    with pytest.raises(ConfigError, match=said):
+        poisoned(Trainer(data(), CONFIG, tmp_path / "old")).run()
+    assert checkpoint.read_bytes() == before
+    with pytest.raises(ConfigError, match="at step 10; no checkpoint was written"):
+        poisoned(Trainer(data(), CONFIG, tmp_path / "new")).run()
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_family_that_reads_sentences_refuses_to_leave_out_words():

@@ -40,6 +40,5 @@ class BCConfig(LearningConfig):
             ConfigError: On a value out of range.
         """
         super().__post_init__()
-        self.require_positive("channels", "depth", "keypoints", "hidden", "word_size")
         if self.film is not None and not 0 <= self.film <= 1 + self.depth:
             raise ConfigError(f"film must be 0..{1 + self.depth} (1 + depth), got {self.film}")

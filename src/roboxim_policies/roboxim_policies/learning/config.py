@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 from roboxim_core.errors import ConfigError
 
-MAX_PATCHES = 32
+RANGES: dict[str, tuple[float, float]] = {
+    "batch": (1, math.inf), "brightness": (0, 1), "channels": (1, math.inf), "checkpoint_every": (1, math.inf),
+    "chunk": (1, math.inf), "color_mix": (0, 1), "decay_to": (0, 1), "depth": (1, math.inf), "execute": (1, math.inf),
+    "feature_dropout": (0, 1), "gripper_weight": (0, math.inf), "heads": (1, math.inf), "held_out": (0, math.inf),
+    "hidden": (1, math.inf), "history": (1, math.inf), "keypoints": (1, math.inf), "layers": (1, math.inf),
+    "opening_noise": (0, math.inf), "overlay": (0, 1), "patches": (0, 32), "patience": (0, math.inf),
+    "position_noise_m": (0, 1), "retry": (0, 1), "seed": (0, 2**32 - 1), "sentence_noise": (0, math.inf),
+    "shift_px": (0, 64), "steps": (1, math.inf), "target_weight": (0, math.inf), "token_size": (1, math.inf),
+    "warmup_steps": (0, math.inf), "weight_decay": (0, 1), "word_dropout": (0, 1), "word_size": (1, math.inf),
+}  # fmt: skip
+"""Smallest and largest value of each field of any family."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,11 +76,11 @@ class LearningConfig:
     color_mix: float = 0.0
     """Strength of a random linear map of an image's colours in training, 0..1: a new look of everything seen."""
     overlay: float = 0.0
-    """Largest weight of a smooth field of random colours that is laid over an image in training, 0..1 (exclusive)."""
+    """Largest weight of a smooth field of random colours that is laid over an image in training, 0..1."""
     patches: int = 0
     """Largest number of ellipses of random colours pasted into an image in training: things that do not matter."""
     word_dropout: float = 0.0
-    """Probability that a word of the instruction is left out of a training sample, 0..1 (exclusive), as a word that was
+    """Probability that a word of the instruction is left out of a training sample, 0..1, as a word that was
     not trained on is left out. For families that read words."""
     checkpoint_every: int = 250
     """Steps between checkpoints."""
@@ -109,37 +120,19 @@ class LearningConfig:
         Raises:
             ConfigError: On a value out of range.
         """
-        self.require_positive("steps", "batch", "chunk", "execute", "checkpoint_every")
+        for name, (least, most) in RANGES.items():
+            value = getattr(self, name, least)
+            if not least <= value <= most:
+                allowed = f">= {least}" if math.isinf(most) else f"{least}..{most}"
+                raise ConfigError(f"{name} must be {allowed}, got {value}")
         if self.execute > self.chunk:
             raise ConfigError(f"execute must be 1..chunk ({self.chunk}), got {self.execute}")
-        if not self.learning_rate > 0:
-            raise ConfigError(f"learning_rate must be > 0, got {self.learning_rate}")
-        if not 0 <= self.decay_to <= 1:
-            raise ConfigError(f"decay_to must be 0..1, got {self.decay_to}")
-        for name in ("ema_decay", "overlay", "word_dropout"):
-            if not 0 <= getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be 0..1 (exclusive), got {getattr(self, name)}")
-        if not 0 <= self.color_mix <= 1 or not 0 <= self.patches <= MAX_PATCHES:
-            raise ConfigError(
-                f"color_mix must be 0..1 and patches 0..{MAX_PATCHES}, got {self.color_mix} and {self.patches}"
-            )
-        if min(self.held_out, self.patience) < 0 or (self.patience and not self.held_out):
-            raise ConfigError(
-                f"held_out and patience must be >= 0, and patience needs held_out: got {self.held_out}, {self.patience}"
-            )
+        if not 0 < self.learning_rate <= 1:
+            raise ConfigError(f"learning_rate must be above 0 and at most 1, got {self.learning_rate}")
+        if not 0 <= self.ema_decay < 1:
+            raise ConfigError(f"ema_decay must be 0..1 (exclusive), got {self.ema_decay}")
+        if self.patience and not self.held_out:
+            raise ConfigError(f"patience needs held_out: got {self.patience} and {self.held_out}")
         for camera, side in (self.image_sizes or {}).items():
             if side % 8 or not 16 <= side <= 512:
                 raise ConfigError(f"image_sizes: '{camera}' must be a multiple of 8 in 16..512 px, got {side}")
-
-    def require_positive(self, *names: str) -> None:
-        """Check that counts are at least 1.
-
-        Args:
-            names: Fields.
-
-        Raises:
-            ConfigError: Naming the first that is not.
-        """
-        for name in names:
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} must be >= 1, got {getattr(self, name)}")

@@ -73,15 +73,10 @@ class EncodedConfig(LearningConfig):
             ConfigError: On a value out of range.
         """
         super().__post_init__()
-        self.require_positive("channels", "depth", "keypoints", "token_size", "heads", "layers", "hidden", "word_size")
         if self.token_size % self.heads:
             raise ConfigError(f"token_size must be a multiple of heads ({self.heads}), got {self.token_size}")
         if any(side % 16 for side in (self.image_sizes or {}).values()):
             raise ConfigError(f"image_sizes must be multiples of 16, got {self.image_sizes}")
-        if self.sentence_noise < 0:
-            raise ConfigError(f"sentence_noise must be >= 0, got {self.sentence_noise}")
-        if not 0 <= self.feature_dropout <= 1:
-            raise ConfigError(f"feature_dropout must be 0..1, got {self.feature_dropout}")
         if self.wordings:
             require_set(self.wordings)
         if self.word_dropout:

@@ -7,6 +7,7 @@ uninterrupted one.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -176,6 +177,9 @@ class Trainer:
 
         Returns:
             The checkpoint's path.
+
+        Raises:
+            ConfigError: When the loss is no longer finite; the checkpoint stays what it was.
         """
         last = min(until or self.config.steps, self.config.steps)
         begun = first = self.step
@@ -188,15 +192,30 @@ class Trainer:
                     parts["loss"].block_until_ready()
                     started, first = time.monotonic(), self.step
                 recent.append(parts)
-                if self.step % 10 == 0 or self.step == last:
-                    progress(self._report(recent, time.monotonic() - started, self.step - first))
+                due = self.step % self.config.checkpoint_every == 0 or self.step == self.config.steps
+                if due or self.step % 10 == 0 or self.step == last:
+                    report = self._report(recent, time.monotonic() - started, self.step - first)
+                    if not math.isfinite(report.loss):
+                        raise self._diverged()
+                    progress(report)
                     recent.clear()
-                if self.step % self.config.checkpoint_every == 0 or self.step == self.config.steps:
+                if due:
                     self._choose()
                     self.save()
-        finally:
+        except ConfigError:
+            raise
+        except BaseException:
             self.save()
+            raise
+        self.save()
         return self.path
+
+    def _diverged(self) -> ConfigError:
+        begun = f"{self.path} is as it was after an earlier step" if self.path.exists() else "no checkpoint was written"
+        return ConfigError(
+            f"the training has diverged: the loss is not finite at step {self.step}; {begun}. Train again with a "
+            f"learning_rate below {self.config.learning_rate:g}, in another output folder"
+        )
 
     def _one_step(self) -> dict[str, Array]:
         parts: dict[str, Array]

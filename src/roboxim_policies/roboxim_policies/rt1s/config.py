@@ -22,12 +22,3 @@ class RT1SConfig(EncodedConfig):
     def frames(self) -> int:
         """Observations that a prediction is made from."""
         return self.history
-
-    def __post_init__(self) -> None:
-        """Check the ranges.
-
-        Raises:
-            ConfigError: On a value out of range.
-        """
-        super().__post_init__()
-        self.require_positive("history")
