@@ -93,7 +93,8 @@ def _looks(config: LearningConfig, rng: np.random.Generator, batch: int) -> Draw
         there = np.arange(config.patches) < rng.integers(0, config.patches + 1, (batch, 1))
         found["patch/there"] = there.astype(np.float32)
         found["patch/center"] = rng.uniform(size=(*shape, 2))
-        longer = np.exp(rng.uniform(*np.log(PATCH_RADII), (*shape, 1)))
+        least, most = np.log(PATCH_RADII)
+        longer = np.exp(rng.uniform(least, most, (*shape, 1)))
         found["patch/radii"] = longer * np.concatenate(
             [np.ones((*shape, 1)), rng.uniform(0.5, 1, (*shape, 1))], axis=-1
         )
