@@ -26,6 +26,7 @@ from roboxim_runs.experiments.report import (
     ExperimentFolder,
     card_warnings,
     folder_card,
+    has_only_card,
     policy_words,
     stored_card,
     write_card,
@@ -118,7 +119,7 @@ def run_benchmark(
     shared: dict[str, Any] = {one.name: getattr(config, one.name) for one in fields(SharedRunConfig)}
     missing: list[str] = []
     for name in benchmark.experiments:
-        if _only_card(out / name):
+        if has_only_card(out / name):
             continue
         if config.experiments and name not in config.experiments:
             missing.append(name)
@@ -141,11 +142,6 @@ def run_benchmark(
     return BenchmarkResult(out=out, missing=tuple(missing), card=written)
 
 
-def _only_card(folder: Path) -> bool:
-    """Return whether an experiment's folder holds nothing but the card of a run elsewhere."""
-    return (folder / CARD_FILE).exists() and not (folder / EXPERIMENT_STATE_FILE).exists()
-
-
 def _cards_from_elsewhere(benchmark: BenchmarkConfig, config: BenchmarkRunConfig) -> dict[str, Card]:
     """Return the cards that were named, and those that the folder holds without a run, by experiment.
 
@@ -153,7 +149,7 @@ def _cards_from_elsewhere(benchmark: BenchmarkConfig, config: BenchmarkRunConfig
         ConfigError: When a card was changed, is not of this benchmark, or a run of its experiment is in the folder.
     """
     out = checked_path(config.out)
-    stored = [out / name / CARD_FILE for name in benchmark.experiments if _only_card(out / name)]
+    stored = [out / name / CARD_FILE for name in benchmark.experiments if has_only_card(out / name)]
     paths = (*stored, *config.cards)
     seed = stored_seed(out)
     planned = {
@@ -233,7 +229,7 @@ def benchmark_card(out: Path) -> BenchmarkCard:
 
 
 def _card_of(folder: Path) -> Card:
-    return stored_card(folder / CARD_FILE) if _only_card(folder) else folder_card(ExperimentFolder.of(folder))
+    return stored_card(folder / CARD_FILE) if has_only_card(folder) else folder_card(ExperimentFolder.of(folder))
 
 
 def write_benchmark_report(out: Path) -> BenchmarkCard:
@@ -275,7 +271,7 @@ def benchmark_reproduction(out: Path, experiments: Iterable[str]) -> str:
     stored = read_json(out / STATE_FILE)
     words = ["roboxim", "benchmark", stored["benchmark"], "--scale", stored["scale"], "--out", out.name]
     words += ["--trainer", stored["trainer"]] if stored.get("trainer") else []
-    here = {name: ExperimentFolder.of(out / name) for name in experiments if not _only_card(out / name)}
+    here = {name: ExperimentFolder.of(out / name) for name in experiments if not has_only_card(out / name)}
     renderer = next((folder.renderer for folder in here.values()), "")
     words += ["--renderer", renderer] if renderer else []
     seed = next((folder.design.config.evaluate.seed for folder in here.values()), 0)

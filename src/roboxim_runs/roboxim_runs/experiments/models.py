@@ -9,14 +9,14 @@ from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.models import Models, Wins, compare_models, compared_condition
 from roboxim_runs.experiments.card import CARD_FILE, results_of, stage_name
-from roboxim_runs.experiments.report import ExperimentFolder, folder_card, stored_card
+from roboxim_runs.experiments.report import ExperimentFolder, folder_card, has_only_card, stored_card
 
 
 def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -> tuple[Models, dict[str, Card]]:
     """Compare a condition of several runs.
 
     Args:
-        folders: Folders of runs, or card files; a model is named by its folder, or by its file.
+        folders: Folders of runs or of cards, or card files; a model is named by its folder, or by its file.
         condition: Condition; empty: the first one of the primary comparison.
         where: ``unseen``, ``seen`` or ``all``; empty: that of the primary comparison.
 
@@ -33,8 +33,8 @@ def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -
         name = _name_of(path)
         if name in cards:
             raise ConfigError(f"two of the runs are named '{name}'; rename a folder or a card")
-        if path.is_file():
-            cards[name] = stored_card(path)
+        if path.is_file() or has_only_card(path):
+            cards[name] = stored_card(path if path.is_file() else path / CARD_FILE)
             continue
         runs[name] = ExperimentFolder.of(path)
         cards[name] = folder_card(runs[name])

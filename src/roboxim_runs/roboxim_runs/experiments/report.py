@@ -98,6 +98,11 @@ class ExperimentFolder:
         )  # fmt: skip
 
 
+def has_only_card(folder: Path) -> bool:
+    """Return whether an experiment's folder holds the card of a run elsewhere, and not the run."""
+    return (folder / CARD_FILE).exists() and not (folder / STATE_FILE).exists()
+
+
 def folder_card(folder: ExperimentFolder) -> Card:
     """Return the card of a folder, checked against its results; a folder without a card receives one.
 

@@ -397,6 +397,8 @@ def test_models_are_compared_on_the_scenes_that_they_shared(tmp_path):
     shutil.copy(tmp_path / "weak/card.json", tmp_path / "alone/card.json")
     with pytest.raises(ConfigError, match=r"its card can be read alone.*--from .*alone/card.json"):
         ExperimentFolder.of(tmp_path / "alone")
+    models, _ = compared([tmp_path / "alone", tmp_path / "strong"])
+    assert models.models.keys() == {"alone", "strong"}, "a published folder has the card alone"
 
 
 def test_models_are_compared_by_the_condition_of_the_first_run(tmp_path):

@@ -332,8 +332,8 @@ def compare(folders: tuple[Path, ...], condition: str, where: str | None, out: P
     \b
     roboxim experiment compare runs/octo runs/bc runs/mine --out models.html
 
-    Cards alone (card.json) can be compared, too. A model is named by its folder. Models without a common letter differ
-    after Holm's adjustment for all pairs.
+    Cards alone (card.json, or a folder with one) can be compared, too. A model is named by its folder. Models without a
+    common letter differ after Holm's adjustment for all pairs.
     """
     from roboxim_runs.experiments.models import compared
 
