@@ -123,7 +123,10 @@ class Samples(eqx.Module):
         yaw = self.yaw[batch]
         heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)], axis=-1)
         state = jnp.concatenate([proprio, self._memory(batch, draws["late"], heading, failed)], axis=-1)
-        images = {name: self._seen(name, batch, draws, config) for name in self.images}
+        images = {
+            name: seen(pixels[batch].astype(jnp.float32) / 255.0, name, draws, config)
+            for name, pixels in self.images.items()
+        }
         for name, features in draws.get("features", {}).items():
             kept = draws[f"{name.partition('/')[0]}/kept"]
             images[name] = features * kept.astype(features.dtype)
@@ -155,9 +158,6 @@ class Samples(eqx.Module):
             moved, heading, turned, opened, self.released[batch], grasps >= 0, failed, jnp
         )
         return features
-
-    def _seen(self, camera: str, batch: Array, draws: dict[str, Array], config: LearningConfig) -> Array:
-        return seen(self.images[camera][batch].astype(jnp.float32) / 255.0, camera, draws, config)
 
 
 def smaller(images: Images, side: int) -> Images:
