@@ -220,6 +220,9 @@ def main() -> None:
         if error.errno == errno.ENAMETOOLONG:
             click.echo(f"error: '{str(error.filename)[:40]}...' is too long for a file's name or path", err=True)
             sys.exit(2)
+        if error.errno == errno.EISDIR:
+            click.echo(f"error: {error.filename} is a folder; expected the name of a file", err=True)
+            sys.exit(2)
         if error.errno not in DISK_ERRORS:
             raise
         path = f"{error.filename}: " if error.filename else ""

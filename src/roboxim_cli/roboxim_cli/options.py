@@ -158,7 +158,7 @@ SHARED: dict[str, dict[str, Any]] = {
         type=Named("skill"), multiple=True, callback=_joined, metavar="NAME[,NAME]",
         help="A skill instead of a task, or several, which share the episodes; roboxim tasks list shows them.",
     ),
-    "suite": dict(type=Named("suite"), default="", help="Suite of config/suites instead: core, language or clutter."),
+    "suite": dict(type=Named("suite"), default="", help="Suite of config/suites instead, e.g. core."),
     "object": dict(
         name="objects", type=Models("object"), multiple=True, metavar="[ROLE=]MODEL[,MODEL]",
         help="Object models of the target, or of another role; may be repeated.",
@@ -395,6 +395,24 @@ def parse_size(text: str) -> tuple[int, int]:
     if not found or not 16 <= int(found[1]) <= 4096 or not 16 <= int(found[2] or found[1]) <= 4096:
         raise ConfigError(f"an image size is SIZE or WIDTHxHEIGHT with 16 to 4096 px, got '{text}'")
     return int(found[1]), int(found[2] or found[1])
+
+
+def parse_side(text: str) -> int:
+    """Parse the side of a square picture [px].
+
+    Raises:
+        ConfigError: When the text is not one number from 16 to 4096.
+    """
+    from roboxim_core.errors import ConfigError
+
+    if not text.isdecimal():
+        raise ConfigError(f"the size of a square picture is one number from 16 to 4096 px, got '{text}'")
+    return parse_size(text)[0]
+
+
+def is_given(name: str) -> bool:
+    """Tell whether an option of the present command was given on the command line."""
+    return click.get_current_context().get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
 
 
 def require_ending(file: Path, *endings: str) -> None:

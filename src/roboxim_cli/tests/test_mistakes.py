@@ -145,6 +145,67 @@ def test_no_episodes_are_not_the_default_number(command):
     assert "Invalid value for '--episodes': 0 is not in the range x>=1" in result.output
 
 
+def test_a_file_is_written_into_a_folder_that_is_made_and_never_over_a_folder(tmp_path, monkeypatch, capsys):
+    for number, words in enumerate((("schema", "task"), ("policy", "new-server"))):
+        file = tmp_path / f"new{number}" / "file.txt"
+        CliRunner().invoke(group, [*words, "--out", str(file)], catch_exceptions=False)
+        assert file.stat().st_size > 1000
+    monkeypatch.setattr(sys, "argv", ["roboxim", "schema", "task", "--out", str(tmp_path)])
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert f"error: {tmp_path} is a folder; expected the name of a file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("policy", "serve", "random", "--port", "9"), "--port: for --wire alone"),
+        (("policy", "serve", "random", "--wire", "openpi", "--size", "128x96"), "one number from 16 to 4096 px"),
+        (("robot", "sheet", "--size", "as-configured"), "one number from 16 to 4096 px, got 'as-configured'"),
+        (("evaluate", "--policy", "random", "--film-scenes", "1,2,x", "--episodes", "2"), "no scene 2, x to film"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_an_option_that_would_have_no_effect_is_refused_before_anything_runs(words, said, tmp_path):
+    assert said in mistake(*words, *(("--out", tmp_path / "out") if words[0] != "policy" else ()))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_of_tasks_is_drawn_where_it_is_named(tmp_path):
+    words = ["tasks", "sample", "--episodes", "1", "--renderer", "tiny", "--out", str(tmp_path / "tasks.png")]
+    CliRunner().invoke(group, words, catch_exceptions=False)
+    assert (tmp_path / "tasks.png").stat().st_size > 1000
+
+
+def test_a_checkpoint_is_not_compared_with_itself(tmp_path, monkeypatch):
+    monkeypatch.setattr("roboxim_runs.evaluation.sweeping.read_description", lambda path: {})
+    monkeypatch.setattr("roboxim_runs.evaluation.sweeping.family_in", lambda description: "bc")
+    (tmp_path / "checkpoint.npz").touch()
+    assert "is named twice" in mistake("sweep", tmp_path, tmp_path / "checkpoint.npz", "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize("given", [["--set", "seed=7"], ["--seed", "7"]])
+def test_the_seed_of_a_pre_training_is_the_one_that_was_given(given, monkeypatch):
+    seen = []
+
+    def stop(config, **_):
+        seen.append(config)
+        raise ConfigError("enough")
+
+    monkeypatch.setattr("roboxim_runs.training.pretraining.pretrain", stop)
+    assert mistake("pretrain", "act", *given) == "enough"
+    assert (seen[0].seed, seen[0].learning.seed) == (7, 7)
+
+
+def test_fields_are_named_without_what_is_none(tmp_path):
+    (tmp_path / "list.yaml").write_text("- 1\n")
+    said = mistake("train", "bc", tmp_path, "--config", tmp_path / "list.yaml")
+    assert "expected a mapping with keys of steps, batch" in said
+    assert "FAMILY" not in said
+
+
 def test_the_name_of_a_subcommand_alone_is_found_in_its_group():
     assert "no command 'audit'; did you mean 'roboxim dataset audit'?" in CliRunner().invoke(group, ["audit"]).output
     assert "no command 'generat'; did you mean 'generate'?" in CliRunner().invoke(group, ["generat"]).output

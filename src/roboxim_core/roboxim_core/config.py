@@ -120,7 +120,8 @@ def _dataclass_hook(cls: Any, converter: cattrs.Converter) -> Any:
     word is accepted; a class with a method ``from_short`` accepts other short forms.
     """
     build = make_dict_structure_fn(cls, converter, _cattrs_forbid_extra_keys=True)
-    kinds = get_type_hints(cls)
+    hints = get_type_hints(cls)
+    kinds = {field.name: hints[field.name] for field in dataclasses.fields(cls)}
 
     lists = [name for name, kind in kinds.items() if _is_list_of_words(kind)]
 

@@ -8,7 +8,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.named import Named
-from roboxim_cli.options import option, parse_size, require_ending
+from roboxim_cli.options import option, parse_side, require_ending
 
 
 @strict.group()
@@ -20,7 +20,7 @@ def command() -> None:
 @click.argument("objects", type=Named("object"), nargs=-1)
 @option("out", default="sheet.png", help="File of the picture.")
 @option("renderer", name="renderer_name")
-@option("size", default="256", help="Side of each picture.")
+@option("size", default="256", metavar="PX", help="Side of each picture.")
 @click.option("--columns", default=5, show_default=True, type=click.IntRange(1, 1000), help="Pictures in a row.")
 @click.option("--labels/--no-labels", default=True, show_default=True, help="Names under the pictures.")
 @click.option(
@@ -70,7 +70,7 @@ def sheet(
         click.echo("\n".join(f"{k + 1}: {text}" for k, text in enumerate(texts)))
     renderer = make_renderer(renderer_name)
     try:
-        pictures = [draw_object(renderer, library, entity, parse_size(size)[0] or 256) for entity in entities]
+        pictures = [draw_object(renderer, library, entity, parse_side(size)) for entity in entities]
     finally:
         renderer.close()
     picture = contact_sheet(pictures, texts if labels else None, columns)

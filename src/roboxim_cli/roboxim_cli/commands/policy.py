@@ -9,7 +9,7 @@ import click
 from roboxim_bringup.attach import attach_options
 from roboxim_cli import strict
 from roboxim_cli.named import Named
-from roboxim_cli.options import option, parse_size
+from roboxim_cli.options import is_given, option, parse_side
 from roboxim_cli.ros.node import membership_options, run_node
 
 
@@ -38,7 +38,12 @@ def command() -> None:
 @click.option(
     "--convention", default="", help="Convention of requests and answers, with --wire; default: the policy's own."
 )
-@option("size", default="256", help="Side of the pictures of cameras for which the policy names none, with --wire.")
+@option(
+    "size",
+    default="256",
+    metavar="PX",
+    help="Side of the pictures of cameras for which the policy names none, with --wire.",
+)
 @membership_options
 @attach_options
 def serve(
@@ -72,9 +77,16 @@ def serve(
     if wire:
         _serve_wire(
             spec, options, wire=wire, host=host, port=port, all_users=all_users, convention=convention,
-            size=parse_size(size)[0],
+            size=parse_side(size),
         )  # fmt: skip
         return
+    if given := [name for name in ("host", "port", "all_users", "convention", "size") if is_given(name)]:
+        from roboxim_core.errors import ConfigError
+
+        named = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise ConfigError(
+            f"{named}: for --wire alone; in a graph a policy has no address, and states its convention itself"
+        )
     from roboxim_bringup.graph import PolicyLaunch
     from roboxim_bringup.parameters import parse_options
 
@@ -129,6 +141,7 @@ def new_server(out: Path) -> None:
 
     text = stand_alone_server().read_text()
     try:
+        out.parent.mkdir(parents=True, exist_ok=True)
         with out.open("x") as file:
             file.write(text)
     except FileExistsError:

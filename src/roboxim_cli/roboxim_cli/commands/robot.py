@@ -9,7 +9,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.named import Named
-from roboxim_cli.options import option, parse_size
+from roboxim_cli.options import option, parse_side
 
 
 @strict.group()
@@ -113,7 +113,7 @@ def check(robot: str, reach: Path | None, episodes: int) -> None:
 @click.argument("robots", type=Named("robot"), nargs=-1)
 @option("out", default="robots.png", help="File of the picture.")
 @option("renderer", name="renderer_name")
-@option("size", default="360", help="Side of each picture.")
+@option("size", default="360", metavar="PX", help="Side of each picture.")
 def sheet(robots: tuple[str, ...], out: Path, renderer_name: str, size: str) -> None:
     """Draw ROBOTS (default: all) at the table."""
     from roboxim_core.models.library import ModelLibrary
@@ -121,5 +121,5 @@ def sheet(robots: tuple[str, ...], out: Path, renderer_name: str, size: str) -> 
 
     chosen = robots or ModelLibrary().robot_ids
     out.parent.mkdir(parents=True, exist_ok=True)
-    draw_robots(chosen, parse_size(size)[0], renderer_name).save(out)
+    draw_robots(chosen, parse_side(size), renderer_name).save(out)
     click.echo(f"a picture: {out} ({', '.join(chosen)})")

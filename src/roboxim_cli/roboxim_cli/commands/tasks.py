@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.options import option, task_options, with_options
+from roboxim_cli.options import is_given, option, task_options, with_options
 
 
 @strict.group()
@@ -76,8 +76,8 @@ def show(name: str) -> None:
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, one task per line.")
 @click.option("--picture", is_flag=True, help="Draw the scenes from all cameras, and mark the named objects.")
-@option("out", default="tasks.png", help="File of --picture.")
-@option("renderer", help="Renderer of --picture.")
+@option("out", default="tasks.png", help="File of the picture, which it implies.")
+@option("renderer", help="Renderer of the picture, which it implies.")
 def sample(
     seed: int, episodes: int, first: int, purpose: str, as_json: bool, picture: bool, out: Path, renderer: str,
     **choice: Any,
@@ -111,7 +111,7 @@ def sample(
         chosen = "  ".join(f"{name}: {value}" for name, value in drawn.drawn.items())
         if chosen:
             click.echo(f"{'':>24}{chosen}")
-    if picture:
+    if picture or is_given("out") or is_given("renderer"):
         from roboxim_runs.scenes.pictures import ScenePainter, save_sheet
 
         click.echo("drawing ...", err=True)

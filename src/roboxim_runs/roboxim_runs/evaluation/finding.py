@@ -129,7 +129,7 @@ def _bag_of(run: Path, number: int | None) -> Path:
         )
     matching = [result for result in results if result.index == number]
     if not matching:
-        there = ", ".join(str(result.index) for result in results[:12])
+        there = ", ".join(map(str, sorted({result.index for result in results})[:12]))
         raise ConfigError(f"{run} has no episode {number}; it has {there}{', ...' if len(results) > 12 else ''}")
     bag = run / matching[-1].bag
     if not matching[-1].bag or not bag.exists():

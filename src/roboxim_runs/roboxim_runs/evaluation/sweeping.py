@@ -54,12 +54,16 @@ def checkpoint_policies(checkpoints: Sequence[Path]) -> list[PolicySpec]:
         checkpoints: Files, or folders of trainings, of any family.
 
     Raises:
-        ConfigError: When one is missing or damaged.
+        ConfigError: When one is missing, damaged or named twice.
     """
-    policies = []
+    policies: list[PolicySpec] = []
+    files: set[Path] = set()
     for path in checkpoints:
         family = family_in(read_description(path))
         file = checkpoint_file(path)
+        if file.resolve() in files:
+            raise ConfigError(f"{path} is named twice: it would only tie with itself")
+        files.add(file.resolve())
         name = file.resolve().parent.name if file.name == "checkpoint.npz" else file.stem
         name = re.sub(r"[^\w-]", "-", name).lstrip("-") or family  # of the trainings of an experiment, e.g. baseline.0
         policies.append(PolicySpec(spec=family, name=name, options={CHECKPOINT: str(path)}))

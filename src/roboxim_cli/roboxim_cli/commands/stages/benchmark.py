@@ -93,6 +93,8 @@ def report(folder: Path | None, card: Path | None, out: Path | None, markdown: P
 
     if (folder is None) == (card is None):
         raise ConfigError("name the folder of a benchmark, or a card with --from CARD")
+    if folder is not None and out is not None:
+        raise ConfigError("the report of a run is written into its own folder; leave out --out")
     page = out
     if folder is not None:
         found, page = write_benchmark_report(folder), folder / "report.html"

@@ -61,7 +61,10 @@ from roboxim_cli.options import episode_options, film_options
     "--real-time", is_flag=True,
     help="Let simulated time pass while the policy computes. Such an evaluation is not repeatable.",
 )  # fmt: skip
-@click.option("--policy-timeout", default=120.0, show_default=True, help="Longest wait for an answer [s].")
+@click.option(
+    "--policy-timeout", type=click.FloatRange(0), default=120.0, show_default=True,
+    help="Longest wait for an answer [s].",
+)  # fmt: skip
 @click.option(
     "--server-wait", "server_wait_s", type=click.FloatRange(0), default=180.0, show_default=True, metavar="SECONDS",
     help="Longest wait for a missing policy server; then the run stops, and the same command continues it.",

@@ -266,6 +266,8 @@ def report(
 
     if (folder is None) == (card is None):
         raise ConfigError("name the folder of a run, or a card with --from CARD")
+    if folder is not None and out is not None:
+        raise ConfigError("the report of a run is written into its own folder; leave out --out")
     if evaluations and folder is None:
         raise ConfigError("--evaluations needs the folder of a run: a card has no episodes")
     pages: list[Path] = []

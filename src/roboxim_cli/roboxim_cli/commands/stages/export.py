@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from roboxim_cli import strict
+from roboxim_cli.options import is_given
 
 HINT = "LeRobot 3.0; openpi and GR00T read 2.1 with other columns: --for openpi, --for groot"
 
@@ -36,8 +37,7 @@ class _Formats(strict.Group):
             from roboxim_runs.datasets.export import trainer_options
 
             format_options = {option.name: options.pop(option.name) for option in own if option.name}
-            context = click.get_current_context()
-            given = {name: value for name, value in format_options.items() if is_given(context, name)}
+            given = {name: value for name, value in format_options.items() if is_given(name)}
             if trainer:
                 format_options |= trainer_options(trainer, cmd_name, given)
             _export(cmd_name, format_options, **options)
@@ -58,11 +58,6 @@ class _Formats(strict.Group):
 @strict.group(cls=_Formats)
 def command() -> None:
     """Export recorded episodes as a dataset."""
-
-
-def is_given(context: click.Context, name: str) -> bool:
-    """Tell whether an option was given on the command line."""
-    return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
 
 
 OWN = ("cameras", "image_width", "image_height", "split", "only_successful", "rate_hz", "cell_counts")

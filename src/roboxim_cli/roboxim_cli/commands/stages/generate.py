@@ -20,11 +20,18 @@ from roboxim_cli.options import episode_options
 )
 @click.option(
     "--noise-mm",
+    type=click.FloatRange(0, 50),
     default=3.0,
     show_default=True,
     help="Standard deviation of the noise in free motions, per axis and tick [mm].",
 )
-@click.option("--noise-mrad", default=10.0, show_default=True, help="Standard deviation of the rotation noise [mrad].")
+@click.option(
+    "--noise-mrad",
+    type=click.FloatRange(0, 200),
+    default=10.0,
+    show_default=True,
+    help="Standard deviation of the rotation noise [mrad].",
+)
 def command(size: str, executor: str, address: str, resources: str, **options: Any) -> None:
     r"""Generate demonstrations of a task with the expert; each becomes a bag in OUT/episodes.
 

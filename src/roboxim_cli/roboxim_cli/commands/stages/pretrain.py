@@ -27,12 +27,13 @@ from roboxim_policies.learning.families import FAMILIES
     metavar="FIELD=VALUE",
     help="A field of the configuration, e.g. chunk=4; may be repeated.",
 )
-@option("seed")
+@option("seed", default=None, show_default="0, or that of --config or --set")
 @option("size", default="128", help="Image size.")
 @option("workers", default=2)
 @option("renderer", default="raster")
 def command(
-    family: str, steps: int | None, config: Path | None, changes: tuple[str, ...], seed: int, size: Any, **options: Any
+    family: str, steps: int | None, config: Path | None, changes: tuple[str, ...], seed: int | None, size: Any,
+    **options: Any,
 ) -> None:  # fmt: skip
     r"""Train a policy of FAMILY on a broad mix of skills, objects, rooms and cameras.
 
@@ -50,12 +51,12 @@ def command(
     from roboxim_runs.training.pretraining import PretrainConfig, pretrain
     from roboxim_runs.training.run import read_config
 
-    given = {"seed": seed} | ({} if steps is None else {"steps": steps})
+    given = {name: value for name, value in (("seed", seed), ("steps", steps)) if value is not None}
     learning = read_config(family, config, {**parse_options(changes), **given})
     keep_freed_memory()
     with EventPrinter() as printer:
         result = pretrain(
-            PretrainConfig(learning=learning, size=parse_size(size), seed=seed, **options), on_event=printer
+            PretrainConfig(learning=learning, size=parse_size(size), seed=learning.seed, **options), on_event=printer
         )
     exposure = result.exposure
     click.echo(
