@@ -124,6 +124,7 @@ def poisoned(trainer: Trainer) -> Trainer:
     return trainer
 
 
+@pytest.mark.thorough
 def test_a_training_that_diverges_says_so_and_keeps_the_checkpoint_before(tmp_path):
     checkpoint = Trainer(data(), CONFIG, tmp_path / "old").run(until=4)
     before = checkpoint.read_bytes()
@@ -141,6 +142,7 @@ def test_a_family_that_reads_sentences_refuses_to_leave_out_words():
         RT1SConfig(word_dropout=0.1)
 
 
+@pytest.mark.thorough
 def test_the_first_batch_shows_samples_before_and_after_augmentation(tmp_path):
     recorded = {tuple(image.ravel()) for image in data().images["workspace"]}
     still = Trainer(data(), replace(CONFIG, brightness=0.0), tmp_path / "still").first_batch(6)
