@@ -35,3 +35,15 @@ class FilmOptions:
         for name, low, high in (("scenes", 0, 10_000), ("frames", 2, 10_000), ("height", 16, 2_160)):
             if not low <= getattr(self, name) <= high:
                 raise ConfigError(f"{name} of films must be from {low} to {high}, got {getattr(self, name)}")
+
+    def require_scenes(self, episodes: int) -> None:
+        """Check that an evaluation has the scenes that are named, before it runs.
+
+        Args:
+            episodes: Number of its scenes.
+
+        Raises:
+            ConfigError: When one is not among them.
+        """
+        if unknown := [scene for scene in self.only if scene not in map(str, range(episodes))]:
+            raise ConfigError(f"no scene {', '.join(unknown)} to film: scenes are numbered from 0 to {episodes - 1}")

@@ -84,9 +84,7 @@ def serve(
         from roboxim_core.errors import ConfigError
 
         named = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-        raise ConfigError(
-            f"{named}: for --wire alone; in a graph a policy has no address, and states its convention itself"
-        )
+        raise ConfigError(f"{named}: for --wire alone; a policy in a graph does not use them")
     from roboxim_bringup.graph import PolicyLaunch
     from roboxim_bringup.parameters import parse_options
 

@@ -18,12 +18,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 import optax
 from jax import Array
 
 from roboxim_core.config import from_json, to_json, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.differences import differences
+from roboxim_policies.learning.augment import seen
 from roboxim_policies.learning.checkpoint import Checkpoint, Chosen, Statistics, load_checkpoint, save_checkpoint
 from roboxim_policies.learning.config import LearningConfig
 from roboxim_policies.learning.data import Demonstrations
@@ -240,7 +242,7 @@ class Trainer:
             now = Chosen(step=step, loss=loss, held_out=self._held_out.episodes, checks=checks, since=0)
             self._at = (*state[:3], state[2]), step, now
 
-    def first_batch(self, count: int) -> dict[str, tuple[Array, Array]]:
+    def first_batch(self, count: int) -> dict[str, tuple[npt.NDArray[np.float32], Array]]:
         """Return pictures of the first step's samples: as recorded, and as that step shows them to the network.
 
         Args:
@@ -250,12 +252,13 @@ class Trainer:
             By camera, twice shape (N, side, side, 3), in 0..1.
         """
         batch, draws = self._supply.batch(0)
-        inputs, _ = self._samples.draw(batch, draws, self.config)
         newest = slice(self.config.frames - 1, count * self.config.frames, self.config.frames)
-        return {
-            name: (self._samples.images[name][batch[newest]] / 255.0, inputs.images[name][newest] + 0.5)
-            for name in self.cameras
-        }
+        found = {}
+        for name in self.cameras:
+            recorded = np.asarray(self._samples.images[name])[np.asarray(batch)[newest]].astype(np.float32) / 255
+            own = {key: value[newest] for key, value in draws.items() if key.startswith(f"{name}/")}
+            found[name] = recorded, seen(jnp.asarray(recorded), name, own, self.config) + 0.5
+        return found
 
     def _report(self, recent: list[dict[str, Array]], seconds: float, steps: int) -> TrainProgress:
         parts = {name: float(np.mean([float(p[name]) for p in recent])) for name in recent[0]}

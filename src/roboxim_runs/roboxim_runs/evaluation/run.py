@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from roboxim_core.config import to_json
-from roboxim_core.errors import ConfigError, EvaluationError
+from roboxim_core.errors import EvaluationError
 from roboxim_core.policies import Policy
 from roboxim_core.shards import Shard
 from roboxim_eval.film_options import FilmOptions
@@ -132,8 +132,8 @@ def evaluate(
     require_local(chosen, executor, config.workers)
     text, out = config.task_text(), Path(config.out)
     config = config.sized(text, on_event)
-    if unknown := [scene for scene in config.film.only if scene not in map(str, range(config.episodes))]:
-        raise ConfigError(f"no scene {', '.join(unknown)} to film: scenes are numbered from 0 to {config.episodes - 1}")
+    if config.page:
+        config.film.require_scenes(config.episodes)
     cells = cells_of(text)
     require_cameras(chosen, cells)
     if not config.other_robot:

@@ -69,6 +69,7 @@ def evaluate_sequentially(
     config = config.sized(config.task_text(), ignore)
     if not 1 < looks <= config.episodes:
         raise ConfigError(f"looks must be from 2 to the number of episodes ({config.episodes}), got {looks}")
+    config.film.require_scenes(config.episodes)
     plan = SequentialPlan.even(config.episodes, looks)
     seen = []
     for number, scenes in enumerate(plan.looks, start=1):
@@ -82,7 +83,8 @@ def evaluate_sequentially(
         if state.finished:
             sentence = _sentence(planned, first, second, state.decided, scenes)
             undecided = not state.decided
-            whole = replace(step, stopped=sentence, undecided=undecided, page=config.page)  # the only page
+            film = replace(config.film, only=tuple(one for one in config.film.only if int(one) < scenes))
+            whole = replace(step, stopped=sentence, undecided=undecided, page=config.page, film=film)  # the only page
             evaluation = evaluate(whole, on_event=ignore, cancellation=cancellation)
             return SequentialResult(evaluation=evaluation, decided=state.decided, sentence=sentence)
     raise AssertionError("the last look finishes the comparison")

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
 
 from roboxim_core.config import from_plain, load_yaml, to_plain
 from roboxim_core.errors import ConfigError
@@ -20,6 +19,7 @@ from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.whole_files import write_whole
 from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_datasets.formats import open_dataset
+from roboxim_datasets.view import encoded
 from roboxim_policies.act.config import ACTConfig
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.learning.checkpoint_file import family_in, read_description
@@ -166,8 +166,8 @@ def write_first_batch(samples: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]]
     rows = [np.concatenate(np.asarray(pictures), axis=1) for each in samples.values() for pictures in each]
     width = max(row.shape[1] for row in rows)
     padded = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=1.0) for row in rows]
-    picture = Image.fromarray((255 * np.concatenate(padded).clip(0, 1)).round().astype(np.uint8))
-    picture.resize((2 * picture.width, 2 * picture.height), Image.Resampling.NEAREST).save(file)
+    picture = (255 * np.concatenate(padded).clip(0, 1)).round().astype(np.uint8)
+    write_whole(file, encoded(picture.repeat(2, axis=0).repeat(2, axis=1), "PNG"))
 
 
 def name_dataset(dataset: Path, training: Path) -> None:

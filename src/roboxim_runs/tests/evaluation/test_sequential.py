@@ -1,9 +1,12 @@
 """Evaluations that stop early, of planted results."""
 
+from dataclasses import replace
+
 import pytest
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
+from roboxim_eval.film_options import FilmOptions
 from roboxim_runs.evaluation import run as evaluation
 from roboxim_runs.evaluation import sequential
 from roboxim_runs.evaluation.report import stored_record
@@ -19,6 +22,7 @@ def planted_evaluations(monkeypatch, tmp_path):
     def made(rates):
         def evaluate(config, **_):
             calls.append((config.episodes, config.stopped, config.page, config.undecided))
+            films.append(config.film.only)
             policies = {}
             for name, rate in zip(config.policies, rates, strict=True):
                 results = tuple(
@@ -31,6 +35,7 @@ def planted_evaluations(monkeypatch, tmp_path):
         monkeypatch.setattr(sequential, "evaluate", evaluate)
         return calls
 
+    films = made.films = []
     return made
 
 
@@ -44,6 +49,15 @@ def test_an_evaluation_stops_when_two_policies_differ(planted_evaluations):
     assert [(episodes, page) for episodes, _, page, _ in calls] == [(50, False), (50, True)], "one page, at the end"
     assert calls[-1][1] == found.sentence, "the report states it"
     assert [undecided for *_, undecided in calls] == [True, False], "a report before the end decides nothing"
+
+
+def test_a_film_of_a_scene_after_the_stop_is_left_out_and_one_that_cannot_be_is_refused(planted_evaluations):
+    planted_evaluations((0.9, 0.2))
+    config = EvaluationConfig(policies=["good", "bad"], episodes=200, film=FilmOptions(only=("7", "150")))
+    assert sequential.evaluate_sequentially(config, 4).decided
+    assert planted_evaluations.films[-1] == ("7",), "it stopped after 50"
+    with pytest.raises(ConfigError, match="no scene 200, x to film: scenes are numbered from 0 to 199"):
+        sequential.evaluate_sequentially(replace(config, film=FilmOptions(only=("7", "200", "x"))), 4)
 
 
 def test_an_evaluation_of_equal_policies_uses_all_scenes(planted_evaluations):

@@ -20,14 +20,14 @@ from roboxim_cli.options import episode_options
 )
 @click.option(
     "--noise-mm",
-    type=click.FloatRange(0, 50),
+    type=click.FloatRange(0),
     default=3.0,
     show_default=True,
     help="Standard deviation of the noise in free motions, per axis and tick [mm].",
 )
 @click.option(
     "--noise-mrad",
-    type=click.FloatRange(0, 200),
+    type=click.FloatRange(0),
     default=10.0,
     show_default=True,
     help="Standard deviation of the rotation noise [mrad].",
