@@ -219,7 +219,7 @@ class RunFolder:
         wanted = {f"{index:05d}" for index in indices}
         for place in (*PLACES.values(), PARTIAL):
             for bag in (self.path / place).glob("*-*-*"):  # one listing, since a run may have very many bags
-                if not wanted.isdisjoint(bag.name.split("-")[1:-1]):
+                if bag.name.rsplit("-", 2)[1] in wanted:  # the seed before the index may be the same number
                     shutil.rmtree(bag)
 
     def discard_episode(self, episode_id: str) -> None:

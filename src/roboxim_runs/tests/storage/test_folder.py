@@ -133,6 +133,14 @@ def test_bags_of_an_unfinished_index_are_discarded(tmp_path):
         assert [path.name for path in folder.path.glob("*/demo-*")] == ["demo-0-00004-0"]
 
 
+def test_bags_are_not_discarded_for_a_seed_that_is_the_number_of_an_unfinished_index(tmp_path):
+    with RunFolder(tmp_path / "run").opened({"seed": 12345}) as folder:
+        for place in ("episodes/demo-12345-00003-0", "set_apart/demo-12345-12345-0"):
+            (folder.path / place).mkdir(parents=True)
+        folder.discard([12345])
+        assert [path.name for path in folder.path.glob("*/demo-*")] == ["demo-12345-00003-0"]
+
+
 class Executor:
     """An executor that yields the given outcomes."""
 
