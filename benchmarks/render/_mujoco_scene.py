@@ -14,6 +14,7 @@ from PIL import Image
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import CameraSpec
 from roboxim_core.vision.renderer import RenderWorld, TriangleMesh
+from roboxim_core.vision.srgb import to_srgb
 from roboxim_sim.rendering import textures
 from roboxim_sim.rendering.geometry import textured
 
@@ -27,8 +28,7 @@ def write_scene(folder: Path, world: RenderWorld, frames: Sequence[tuple[dict[st
     assets, bodies = [], []
     size = frames[0][1][0][0].width
     for name in sorted({part.material.texture for body in world.bodies for part in body.parts} - {""}):
-        linear = (textures.pixels(name)[::-1] / 255.0) ** 2
-        srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+        srgb = to_srgb((textures.pixels(name)[::-1] / 255.0) ** 2)
         Image.fromarray(np.rint(255 * srgb).astype(np.uint8)).save(folder / f"{name}.png")
         assets.append(f'<texture name="{name}" type="2d" file="{name}.png"/>')
     count = 0

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.registry import Registry
+from roboxim_core.vision.srgb import to_linear
 
 if TYPE_CHECKING:
     import trimesh
@@ -88,7 +89,7 @@ def _linear(image: Image.Image) -> Field:
     from PIL import Image
 
     srgb = np.asarray(image.convert("RGB").resize((SIZE, SIZE), Image.Resampling.LANCZOS), dtype=np.float64) / 255.0
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return to_linear(srgb)
 
 
 def noise(seed: int, cells_x: float, cells_y: float) -> Field:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core.vision.srgb import to_linear
+
 SAMPLED_PX = 256
 """Pixels of an object that its colours are compared by, evenly spread."""
 SHARE_ALIKE = 0.9
@@ -28,9 +30,7 @@ def lab_of(rgb: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
     Source: IEC 61966-2-1 and CIE 15:2004.
     """
-    values = np.asarray(rgb, dtype=float) / 255.0
-    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-    relative = linear @ _XYZ_OF_RGB.T / _WHITE
+    relative = to_linear(np.asarray(rgb, dtype=float) / 255.0) @ _XYZ_OF_RGB.T / _WHITE
     cubic = np.where(relative > (6 / 29) ** 3, np.cbrt(relative), relative / (3 * (6 / 29) ** 2) + 4 / 29)
     x, y, z = cubic[..., 0], cubic[..., 1], cubic[..., 2]
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)

@@ -33,6 +33,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraNoise, CameraSpec, SceneSpec
 from roboxim_core.vision.cameras import ideal_camera, rays_of_pixels
 from roboxim_core.vision.renderer import CameraImages, Renderer, RenderWorld
+from roboxim_core.vision.srgb import to_linear, to_srgb
 
 MAX_SIZE = 4096
 """Maximum width and height of the pinhole image for a distorted one [px]."""
@@ -197,14 +198,11 @@ def _rng(camera: CameraSpec, seq: int, kind: str) -> np.random.Generator:
 
 
 def _linear_table() -> npt.NDArray[np.float32]:
-    srgb = np.arange(256) / 255
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return to_linear(np.arange(256) / 255).astype(np.float32)
 
 
 def _srgb_table() -> npt.NDArray[np.uint8]:
-    light = np.arange(_STEPS + 1) / _STEPS
-    srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    return np.asarray(np.rint(255 * srgb), dtype=np.uint8)
+    return np.asarray(np.rint(255 * to_srgb(np.arange(_STEPS + 1) / _STEPS)), dtype=np.uint8)
 
 
 _STEPS = 16384

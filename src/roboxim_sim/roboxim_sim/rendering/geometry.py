@@ -15,6 +15,7 @@ from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Pose
 from roboxim_core.specs import RGB, CameraSpec
 from roboxim_core.vision.renderer import RenderBody, RenderWorld, TriangleMesh, VisualPart
+from roboxim_core.vision.srgb import to_linear
 from roboxim_sim.rendering.lod import coarse_meshes
 from roboxim_sim.rendering.textures import TILE_M
 
@@ -328,8 +329,7 @@ def textured(mesh: TriangleMesh) -> TriangleMesh:
 
 def linear(color: RGB) -> npt.NDArray[np.float64]:
     """Convert an sRGB colour to linear."""
-    srgb = np.clip(np.asarray(color, dtype=float), 0.0, 1.0)
-    return np.asarray(np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4))
+    return to_linear(np.clip(color, 0.0, 1.0))
 
 
 def _shaped(

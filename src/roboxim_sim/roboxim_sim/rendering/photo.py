@@ -28,6 +28,7 @@ from roboxim_core.errors import ErrorCode, SimError
 from roboxim_core.poses import Pose, look_at
 from roboxim_core.specs import CameraSpec, LightSpec
 from roboxim_core.vision.renderer import CameraImages, RenderWorld
+from roboxim_core.vision.srgb import to_srgb
 from roboxim_sim.rendering import photo_worker, textures
 from roboxim_sim.rendering.geometry import SURROUNDINGS, check_mesh, check_request, linear, textured
 from roboxim_sim.rendering.owner import Owner
@@ -236,8 +237,7 @@ def _developed(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
     """Return linear light as 8-bit sRGB, with a soft shoulder above 0.6."""
     over = np.maximum(light - 0.6, 0.0)
     light = np.clip(np.minimum(light, 0.6) + over / (1 + 2.5 * over), 0.0, 1.0)
-    srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-6) ** (1 / 2.4) - 0.055)
-    return np.asarray(np.rint(255 * srgb), dtype=np.uint8)
+    return np.asarray(np.rint(255 * to_srgb(light)), dtype=np.uint8)
 
 
 def _foreign_environment() -> dict[str, str]:

@@ -7,10 +7,10 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from roboxim_core.specs import MaterialSpec
 from roboxim_core.vision.renderer import RenderBody, VisualPart
+from roboxim_core.vision.srgb import to_srgb
 from roboxim_core.vision.textures import pixels
 from roboxim_sim.rendering.geometry import linear, textured
 
@@ -69,10 +69,5 @@ def _image(name: str) -> Any:
     return picture.resize((TEXTURE_PX, TEXTURE_PX), Image.Resampling.LANCZOS)
 
 
-def _srgb(values: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
-    encoded = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1 / 2.4) - 0.055)
-    return np.asarray(np.rint(255 * np.clip(encoded, 0.0, 1.0)).astype(np.uint8))
-
-
-SRGB = _srgb((np.arange(256) / 255.0) ** 2)
+SRGB = np.rint(255 * to_srgb((np.arange(256) / 255.0) ** 2)).astype(np.uint8)
 """Value of a renderer's texture, which is the square root of a linear one, to that of a picture, uint8."""
