@@ -15,10 +15,10 @@ from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
 from roboxim_datasets.formats import open_dataset
 from roboxim_recorder.bag import BagReader, mcap_file
-from roboxim_recorder.export import EXPORTERS
+from roboxim_recorder.export import EXPORTERS, ExportReport
 from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.integrity.repair import OUTCOME_UNKNOWN, repair_bag
-from roboxim_runs.datasets.export import REPLAY_FILE, export_dataset
+from roboxim_runs.datasets.export import REPLAY_FILE, export_dataset, gated
 from roboxim_runs.datasets.replay_gate import replay_dataset, replay_episode, spread
 from roboxim_runs.episodes.reexecution import rejudge
 from roboxim_runs.episodes.task_choice import task_text
@@ -226,6 +226,47 @@ def test_a_refused_export_never_gets_its_place(run, tmp_path, monkeypatch):
     assert caught.value.code == ErrorCode.EXPORT_REFUSED
     assert {path: path.read_bytes() for path in target.rglob("*") if path.is_file()} == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["rlds", "rlds.refused"]
+
+
+def gate(target, place, *, refused="", overwrite=False):
+    """Gate an export that writes its own name, without bags."""
+
+    def export(folder, if_exists):
+        path = folder / place.relative_to(target)
+        path.mkdir(parents=True, exist_ok=if_exists == "overwrite")
+        (path / "export.json").write_text("new")
+        return ExportReport(path=path, splits={}, steps=0, left_out={}, dead_dimensions=())
+
+    return gated(target, place, export, lambda dataset: refused, overwrite=overwrite)
+
+
+@pytest.mark.parametrize("inside", ["", "roboxim/1.0.0"])
+def test_a_refused_export_never_gets_its_place_in_a_folder_that_exists(tmp_path, inside):
+    target = tmp_path / "set"
+    target.mkdir()
+    with pytest.raises(RecorderError, match="does not pass the replay gate"):
+        gate(target, target / inside, refused="bad")
+    assert not list(target.rglob("*"))
+
+
+def test_a_gated_export_replaces_only_an_export(tmp_path):
+    (tmp_path / "precious.txt").write_text("mine")
+    with pytest.raises(RecorderError, match="exists and is not an export"):
+        gate(tmp_path, tmp_path, overwrite=True)
+    assert (tmp_path / "precious.txt").read_text() == "mine"
+
+
+def test_what_a_killed_gated_export_has_moved_aside_comes_back(tmp_path):
+    place = tmp_path / "set"
+    aside = tmp_path / ".set.old"
+    aside.mkdir()
+    (aside / "export.json").write_text("old")
+    with pytest.raises(FileExistsError):
+        gate(place, place)
+    assert (place / "export.json").read_text() == "old"
+    gate(place, place, overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+    assert (place / "export.json").read_text() == "new"
 
 
 def test_a_bag_without_its_result_is_judged_again(run, tmp_path):

@@ -4,10 +4,11 @@ Beside the final place ``<name>`` stands ``.partial-<name>`` with:
 
 - ``pieces/``: files of single episodes;
 - ``journal.jsonl``: one line for each finished episode, appended after its pieces are whole;
-- ``dataset/``: the dataset that is put together from the pieces at the end.
+- ``dataset/``: the dataset that is put together from the pieces at the end;
+- ``replaced/``: the dataset that had the final name, while the new one takes it.
 
 `ResumableBuild.finish` renames ``dataset/`` to the final name. So a dataset with its final name is complete, and a
-killed build continues after its last finished episode.
+killed build continues after its last finished episode. The pieces stay until then, and the journal goes before them.
 """
 
 from __future__ import annotations
@@ -70,8 +71,10 @@ class ResumableBuild:
             RecorderError: With code ``EXPORT_REFUSED`` when something stands at the final place that must stay.
         """
         self.path, self._overwrite, self._marker = path, overwrite, marker
-        self._require_place()
         self._folder = path.with_name(f".partial-{path.name}")
+        self._replaced = self._folder / "replaced"
+        restore(path, self._replaced)
+        self._require_place()
         self._journal = self._folder / "journal.jsonl"
         self.staged = self._folder / "dataset"
         """Where the dataset is put together: a folder or a file, like ``path``."""
@@ -79,7 +82,7 @@ class ResumableBuild:
         """What the journal says of the finished episodes, in the order of their writing."""
         self._remove_staged()
         if not self.entries:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._remove_pieces()
         (self._folder / "pieces").mkdir(parents=True, exist_ok=True)
         lines = [{"identity": identity}, *self.entries]  # written again: the last line may be torn
         scratch = self._folder / "journal.tmp"
@@ -101,8 +104,8 @@ class ResumableBuild:
             )
 
     def resumed(self, split: str) -> int:
-        """Return the number of finished episodes of a split."""
-        return sum(entry["split"] == split for entry in self.entries)
+        """Return the number of finished episodes of a split; an entry holds one, or ``episodes``."""
+        return sum(entry.get("episodes", 1) for entry in self.entries if entry["split"] == split)
 
     def piece(self, split: str, number: int, name: str) -> Path:
         """Return the path of a piece of an episode.
@@ -137,16 +140,44 @@ class ResumableBuild:
 
     def finish(self) -> None:
         """Move the dataset to its final place and remove the pieces."""
-        if self.path.exists():
-            self.path.replace(self._folder / "replaced")
-        self.staged.replace(self.path)
-        shutil.rmtree(self._folder)
+        replace_whole(self.staged, self.path, self._replaced)
+        self._remove_pieces()
+
+    def _remove_pieces(self) -> None:
+        """Remove the build's folder; the journal goes first, because it says that the pieces are there."""
+        self._journal.unlink(missing_ok=True)
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     def _remove_staged(self) -> None:
         if self.staged.is_dir():
             shutil.rmtree(self.staged)
         else:
             self.staged.unlink(missing_ok=True)
+
+
+def replace_whole(new: Path, place: Path, aside: Path) -> None:
+    """Move a dataset to its final place; what is there is moved aside first. After a kill in between, see `restore`."""
+    if place.exists():
+        place.replace(aside)
+    new.replace(place)
+
+
+def restore(place: Path, aside: Path) -> None:
+    """Put back what a killed `replace_whole` has moved aside, or remove it if the new dataset has its place."""
+    if aside.exists() and not place.exists():
+        aside.replace(place)
+    elif aside.is_dir():
+        shutil.rmtree(aside)
+    else:
+        aside.unlink(missing_ok=True)
+
+
+def link(source: Path, target: Path) -> None:
+    """Give a file a second name; copy it if the file system has no hard links."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:

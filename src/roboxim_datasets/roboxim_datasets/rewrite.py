@@ -23,7 +23,7 @@ from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, Rec
 from roboxim_core.plain_data.documents import read_json_object, read_text
 from roboxim_datasets.account import Part, Treatment, to_json
 from roboxim_datasets.build import only_build
-from roboxim_datasets.card import write_card
+from roboxim_datasets.card import card_path, write_card
 from roboxim_datasets.dataset import EXPORT_FILE, SPLITS, Dataset, Description
 from roboxim_datasets.episode import METADATA, OWN_FIELDS, Episode, MetaValue, Step, Wanted
 from roboxim_datasets.files import file_in, has_file, reading
@@ -116,6 +116,8 @@ def write_dataset(
     splits = {split: len(places) for split, places in plan.items() if places}
     written = Written(path=path, splits=splits, resumed=sum(splits.values()), left_out=tuple(left_out), changed=changed)
     if not overwrite and _identity_of(path) == identity:
+        if not card_path(path).is_file():  # the call that wrote it was interrupted
+            write_card(made.open(path))
         return written
     files = files_beside(
         sources, format=format, how=how, options=settings, identity=identity,

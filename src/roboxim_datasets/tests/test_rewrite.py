@@ -63,6 +63,19 @@ def test_an_interrupted_merge_goes_on(tmp_path, write):
         assert (resumed / file.name).read_bytes() == file.read_bytes(), file.name
 
 
+def test_a_call_that_is_killed_before_the_card_is_completed_by_the_next(tmp_path, write, monkeypatch):
+    def killed(dataset):
+        raise KeyboardInterrupt
+
+    a = write(tmp_path / "a", [0])
+    with monkeypatch.context() as patched:
+        patched.setattr("roboxim_datasets.rewrite.write_card", killed)
+        with pytest.raises(KeyboardInterrupt):
+            write_dataset(plan_of(a), tmp_path / "b", "rlds", how="convert")
+    written = write_dataset(plan_of(a), tmp_path / "b", "rlds", how="convert")
+    assert (written.path / "README.md").is_file()
+
+
 def test_a_dataset_is_divided_anew(tmp_path, write):
     a = write(tmp_path / "a", [0, 1, 2, 3], val=[4, 5])
     plan = split_plan(a, {"train": 0, "val": 2})

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -15,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from roboxim_core.errors import ErrorCode, RecorderError
-from roboxim_datasets.build import Facts, ResumableBuild, write_files
+from roboxim_datasets.build import Facts, ResumableBuild, link, write_files
 from roboxim_datasets.lerobot.layout import (
     CHUNK,
     DATA_PATH,
@@ -239,7 +237,7 @@ class _Version21:
                 name = VIDEO_PATH["2.1"].format(video_key=key, episode_chunk=index // CHUNK, episode_index=index)
                 path = self._root / name
                 path.parent.mkdir(parents=True, exist_ok=True)
-                _link(_video_piece(self._build, entry, key), path)
+                link(_video_piece(self._build, entry, key), path)
         return []
 
     def add(self, episode: _Numbered, stats: Stats) -> None:
@@ -317,11 +315,3 @@ def _grouped(sizes: list[int], max_size: int) -> list[range]:
             begin, total = index, 0
         total += size
     return [*groups, range(begin, len(sizes))]
-
-
-def _link(source: Path, target: Path) -> None:
-    """Give a file a second name; copy it if the file system has no hard links."""
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)

@@ -19,6 +19,8 @@ from roboxim_datasets.pictures import MAX_COMPONENTS, MAX_PIXELS, colour_picture
 from roboxim_datasets.rlds.tfrecord import Feature, decode_example, encode_example
 
 Array = npt.NDArray[np.float32]
+INFO_FILE = "dataset_info.json"
+FEATURES_FILE = "features.json"
 SUBTASK = "steps/language_subtask"
 """Path of the text of a step's subtask in a longer task."""
 META_TYPES = {"text": str, "int64": int, "bool": bool, "float32": float}

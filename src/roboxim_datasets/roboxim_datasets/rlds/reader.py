@@ -21,6 +21,8 @@ from roboxim_datasets.files import file_in, reading
 from roboxim_datasets.pictures import head_of
 from roboxim_datasets.rlds.episodes import camera_keys, component_names_of, from_rlds
 from roboxim_datasets.rlds.format import (
+    FEATURES_FILE,
+    INFO_FILE,
     RldsEpisode,
     RldsFeatures,
     decode_episode,
@@ -38,9 +40,6 @@ from roboxim_datasets.rlds.tfrecord import (
     read_records,
     record_positions,
 )
-
-INFO_FILE = "dataset_info.json"
-FEATURES_FILE = "features.json"
 
 
 def find_rlds(path: Path) -> list[Path]:

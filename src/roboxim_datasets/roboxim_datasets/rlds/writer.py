@@ -1,23 +1,29 @@
 """Writes a dataset in the RLDS format: sharded, atomic, resumable, the same bytes for the same episodes.
 
-A dataset is built in a hidden folder beside its final place and renamed when complete. An interrupted build continues
-after its last finished shard.
+A dataset is built beside its final place (`roboxim_datasets.build`). An interrupted build continues after its last
+finished shard.
 """
 
 from __future__ import annotations
 
-import contextlib
 import json
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
-from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError
-from roboxim_core.plain_data.documents import read_json_object
-from roboxim_datasets.rlds.format import RldsEpisode, RldsFeatures, encode_episode, features_to_json
+from roboxim_core.errors import InvalidRequestError
+from roboxim_datasets.build import ResumableBuild, link, write_files
+from roboxim_datasets.rlds.format import (
+    FEATURES_FILE,
+    INFO_FILE,
+    RldsEpisode,
+    RldsFeatures,
+    encode_episode,
+    features_to_json,
+)
 from roboxim_datasets.rlds.tfrecord import write_record
+
+_SHARD = "records"
 
 
 class RldsWriter:
@@ -62,34 +68,16 @@ class RldsWriter:
         if [part for part in version.split(".") if part.isdigit()] != version.split(".") or version.count(".") != 2:
             raise InvalidRequestError(f"a dataset's version must be like 1.0.0, got '{version}'")
         self.path = folder / name / version
-        if self.path.exists() and not overwrite:
-            raise RecorderError(
-                f"{self.path} exists; choose another name or version, or replace it (--overwrite or overwrite=True)",
-                ErrorCode.EXPORT_REFUSED,
-            )
         self.features, self.name, self.version, self.description = features, name, version, description
         self._names = dict(names or {})
         self._shard_bytes = shard_bytes
-        self._partial = self.path.with_name(f".partial-{version}")
-        self._journal: dict[str, Any] = {"identity": identity, "shards": {}}
+        self._build = ResumableBuild(self.path, identity=identity, overwrite=overwrite, marker=INFO_FILE)
         self._pending: dict[str, list[bytes]] = {}
-        self._resume(identity)
-
-    def _resume(self, identity: str) -> None:
-        journal = self._partial / "journal.json"
-        if identity and journal.is_file():
-            found: dict[str, Any] = {}
-            with contextlib.suppress(ConfigError):  # a torn journal: what it says of is made again
-                found = read_json_object(journal)
-            if found.get("identity") == identity and isinstance(found.get("shards"), dict):
-                self._journal = found
-                return
-        shutil.rmtree(self._partial, ignore_errors=True)
-        self._partial.mkdir(parents=True)
+        self._complete = False
 
     def resumed(self, split: str) -> int:
         """Return the number of episodes of a split in the finished shards of an interrupted build."""
-        return sum(shard["episodes"] for shard in self._journal["shards"].get(split, []))
+        return self._build.resumed(split)
 
     def add(self, split: str, episode: RldsEpisode) -> None:
         """Append an episode to a split (``train`` or ``val``: the names that loaders look for).
@@ -115,15 +103,13 @@ class RldsWriter:
         payloads = self._pending.pop(split, [])
         if not payloads:
             return
-        shards = self._journal["shards"].setdefault(split, [])
-        path = self._partial / f"{split}-{len(shards):05d}"
-        with path.open("wb") as file:
+        number = sum(entry["split"] == split for entry in self._build.entries)
+        with self._build.piece(split, number, _SHARD).open("wb") as file:
             for payload in payloads:
                 write_record(file, payload)
-        shards.append({"file": path.name, "episodes": len(payloads), "bytes": sum(map(len, payloads))})
-        scratch = self._partial / "journal.tmp"
-        scratch.write_text(json.dumps(self._journal))
-        scratch.replace(self._partial / "journal.json")
+        self._build.commit(
+            {"split": split, "number": number, "episodes": len(payloads), "bytes": sum(map(len, payloads))}
+        )
 
     def finish_shards(self) -> None:
         """Write the pending records, so that the shards can be read back before the dataset is completed."""
@@ -132,7 +118,8 @@ class RldsWriter:
 
     def shard_files(self, split: str) -> list[Path]:
         """Return the finished shards of a split."""
-        return [self._partial / shard["file"] for shard in self._journal["shards"].get(split, [])]
+        entries = self._build.entries
+        return [self._build.piece(split, of["number"], _SHARD) for of in entries if of["split"] == split]
 
     def complete(self, files: Mapping[str, str | bytes] | None = None) -> Path:
         """Finish the dataset and move it to its final place.
@@ -144,13 +131,13 @@ class RldsWriter:
             The dataset's folder.
         """
         self.finish_shards()
-        if not self._journal["shards"]:
-            raise RecorderError("a dataset needs at least one episode; nothing was written", ErrorCode.EXPORT_REFUSED)
+        build = self._build
+        found = sorted(build.split_entries().items())
+        build.staged.mkdir()
         splits = []
-        for split, shards in sorted(self._journal["shards"].items()):
-            for index, shard in enumerate(shards):
-                final = f"{self.name}-{split}.tfrecord-{index:05d}-of-{len(shards):05d}"
-                (self._partial / shard["file"]).rename(self._partial / final)
+        for split, shards in found:
+            for index, file in enumerate(self.shard_files(split)):
+                link(file, build.staged / f"{self.name}-{split}.tfrecord-{index:05d}-of-{len(shards):05d}")
             splits.append(
                 {
                     "filepathTemplate": "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}",
@@ -167,15 +154,11 @@ class RldsWriter:
             "splits": splits,
             "version": self.version,
         }
-        written = {"features.json": features_to_json(self.features, self._names), "dataset_info.json": info}
-        for name, data in written.items():
-            (self._partial / name).write_text(json.dumps(data, indent=2) + "\n")
-        for name, text in (files or {}).items():
-            (self._partial / name).write_bytes(text.encode() if isinstance(text, str) else text)
-        (self._partial / "journal.json").unlink()
-        if self.path.exists():
-            shutil.rmtree(self.path)
-        self._partial.rename(self.path)
+        described = {FEATURES_FILE: features_to_json(self.features, self._names), INFO_FILE: info}
+        texts = {name: json.dumps(data, indent=2) + "\n" for name, data in described.items()}
+        write_files(build.staged, {**texts, **(files or {})})
+        build.finish()
+        self._complete = True
         return self.path
 
     def __enter__(self) -> RldsWriter:
@@ -184,5 +167,5 @@ class RldsWriter:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         """Complete the dataset, unless an exception is propagating or it is complete."""
-        if kind is None and self._partial.exists():
+        if kind is None and not self._complete:
             self.complete()

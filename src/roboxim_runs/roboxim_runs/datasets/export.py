@@ -10,8 +10,10 @@ from typing import Literal
 
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, one_of
 from roboxim_core.whole_files import write_whole
+from roboxim_datasets.build import replace_whole, restore
+from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_recorder.bag_writer import disk_errors
-from roboxim_recorder.export import ExportReport, Selection, export_bags
+from roboxim_recorder.export import EXPORTERS, ExportReport, Selection, export_bags
 from roboxim_recorder.export.hdf5 import Hdf5Config
 from roboxim_recorder.export.lerobot import LeRobotConfig
 from roboxim_recorder.export.rlds import ExportConfig
@@ -133,12 +135,15 @@ def export_dataset(
         return replayed.refusal
 
     if gate:
-        return gated(Path(target), export, refusal, overwrite=overwrite)
+        exporter = EXPORTERS[format]()
+        place = exporter.path(Path(target), config if config is not None else exporter.config())
+        return gated(Path(target), place, export, refusal, overwrite=overwrite)
     return export(Path(target), "overwrite" if overwrite else "keep")
 
 
 def gated(
     target: Path,
+    place: Path,
     export: Callable[[Path, IfExists], ExportReport],
     refusal: Callable[[Path], str],
     *,
@@ -148,14 +153,22 @@ def gated(
 
     Args:
         target: Folder that the dataset belongs into.
+        place: Path of the dataset, which is the target or lies in it.
         export: Exports into a folder.
         refusal: Returns why a dataset is refused; empty: it passes.
         overwrite: Whether a dataset that is there already is replaced.
 
     Raises:
-        RecorderError: ``EXPORT_REFUSED`` when the dataset is refused; as ``export`` does.
+        RecorderError: ``EXPORT_REFUSED`` when the dataset is refused, or when something else has its place; as
+            ``export`` does.
     """
-    if target.exists() and not overwrite:  # holds a dataset of the same bags and settings, or another: an error
+    aside = place.with_name(f".{place.name}.old")
+    with disk_errors(place):
+        restore(place, aside)
+    taken = place.is_file() or (place.is_dir() and any(place.iterdir()))
+    if taken and overwrite and not (place / EXPORT_FILE).is_file():
+        raise RecorderError(f"{place} exists and is not an export; choose another folder", ErrorCode.EXPORT_REFUSED)
+    if taken and not overwrite:  # a dataset of the same bags and settings, or another: an error
         report, stage = export(target, "keep"), None
     else:
         stage = target.with_name(f"{target.name}{STAGED}")
@@ -170,22 +183,12 @@ def gated(
         raise RecorderError(f"the export does not pass the replay gate: {why}", ErrorCode.EXPORT_REFUSED)
     if stage is None:
         return report
-    place = target / report.path.relative_to(stage)
     with disk_errors(place):
-        _move(report.path, place)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        replace_whole(report.path, place, aside)
+        restore(place, aside)
         shutil.rmtree(stage, ignore_errors=True)
     return replace(report, path=place)
-
-
-def _move(new: Path, place: Path) -> None:
-    """Move a dataset to its place; one that is there already is replaced."""
-    place.parent.mkdir(parents=True, exist_ok=True)
-    old = place.with_name(f".{place.name}.old")
-    shutil.rmtree(old, ignore_errors=True)
-    if place.is_dir():
-        place.rename(old)
-    new.replace(place)
-    shutil.rmtree(old, ignore_errors=True)
 
 
 def unfinished(source: Path) -> str:
