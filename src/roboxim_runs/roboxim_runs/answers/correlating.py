@@ -132,9 +132,19 @@ def _counted(run: Path) -> dict[str, Count]:
 def _of_card(card: Card) -> Table:
     found: dict[str, Arm] = {}
     for name, arm in outcomes_of_card(card).arms.items():
-        found[name] = _one(arm.by_cell)
-        found |= {f"{name}.{number}": _one(counts) for number, counts in enumerate(arm.replicates)}
+        found[name] = arm
+        found |= {_training(name, number): _one(counts) for number, counts in enumerate(arm.replicates)}
     return found
+
+
+def _training(condition: str, number: int) -> str:
+    return f"{condition}.{number}"
+
+
+def _trainings(table: Table, name: str) -> set[str]:
+    """Return the names of the trainings that a policy consists of: a card has both. Others may have such a name."""
+    names = ((_training(name, number), counts) for number, counts in enumerate(table[name].replicates))
+    return {one for one, counts in names if one in table and table[one].replicates[0] is counts}
 
 
 def _one(counts: Mapping[str, Count]) -> Arm:
@@ -144,10 +154,14 @@ def _one(counts: Mapping[str, Count]) -> Arm:
 def paired(first: Table, second: Table) -> list[PolicyCounts]:
     """Return the policies that two tables have, in the order of the first one.
 
+    A condition of an experiment is left out if single trainings of it are in both tables: it would count them twice.
+
     Raises:
         ConfigError: When they have fewer than `MIN_POLICIES` in common.
     """
-    common = [name for name in first if name in second]
+    both = [name for name in first if name in second]
+    single = {name for name in both for table in (first, second) if not _trainings(table, name).isdisjoint(both)}
+    common = [name for name in both if name not in single]
     if len(common) < MIN_POLICIES:
         raise ConfigError(
             f"the tables have {len(common)} policies in common ({', '.join(common) or 'none'}), and a correlation "

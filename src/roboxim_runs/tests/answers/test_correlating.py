@@ -84,6 +84,22 @@ def test_other_faults_are_refused(tmp_path):
         read_results(written(tmp_path / "bad.json", "[3]"))
 
 
+def test_a_training_counts_once_and_names_with_a_dot_are_names(tmp_path):
+    folder_card(planted_folder(tmp_path / "run", PLANTED_RATES))
+    card = tmp_path / "run/card.json"
+    conditions = [name for name in read_results(card) if "." not in name]
+    trainings = [f"{name}.{number}" for name in conditions for number in range(3)]
+    assert sorted(policy.name for policy in correlated(card, [card]).policies) == sorted(trainings)
+    text = "policy,successes,trials\n" + "".join(f"{name},{n},20\n" for n, name in enumerate([*conditions, *trainings]))
+    listed = correlated(written(tmp_path / "real.csv", text), [card])
+    assert sorted(policy.name for policy in listed.policies) == sorted(trainings)
+    pooled = "policy,successes,trials\n" + "".join(f"{name},{n},9\n" for n, name in enumerate(conditions))
+    only = correlated(written(tmp_path / "pooled.csv", pooled), [card])
+    assert [policy.name for policy in only.policies] == conditions
+    names = written(tmp_path / "names.csv", "policy,successes,trials\npi,1,9\npi.0,4,9\npi.1,5,9\n")
+    assert [policy.name for policy in correlated(names, [names]).policies] == ["pi", "pi.0", "pi.1"]
+
+
 def test_folders_of_evaluations_and_experiments_are_tables(tmp_path):
     card = folder_card(planted_folder(tmp_path / "run", PLANTED_RATES))
     found = read_results(tmp_path / "run")
