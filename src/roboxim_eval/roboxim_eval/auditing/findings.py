@@ -142,17 +142,21 @@ def _observes(p: Probes) -> Statements:
 
 
 def _clips(p: Probes) -> Statements:
-    if p.beyond.refused:
+    if p.beyond.refused or p.beyond.steps and p.beyond.observations == p.clipped.observations:
         return
     if not p.beyond.steps:
         yield "? actions have no bounds"
+    elif p.beyond.steps != p.clipped.steps:
+        yield f"the episode has {p.beyond.steps} steps with actions at twice their bounds, {p.clipped.steps} at them"
+    elif not p.beyond.final:
+        yield "? observations have no floating-point numbers to compare with a tolerance, and they differ"
     elif not np.allclose(p.beyond.final, p.clipped.final, rtol=1e-3, atol=1e-3):
         yield "components of actions at twice their bounds have another effect than at their bounds, and no error"
 
 
 def _nan(p: Probes) -> Statements:
     if p.not_a_number is None:
-        yield "? actions are whole numbers"
+        yield "? actions are no array of floating-point numbers"
     elif not p.not_a_number.refused:
         yield "an action of NaN is accepted without an error"
 
@@ -183,7 +187,9 @@ def _without_skill(traces: Sequence[Trace], how: str) -> Statements:
 
 def _starts_unsolved(p: Probes) -> Statements:
     solved = sum(trace.start_success is True for trace in p.seeds.values())
-    if solved:
+    if all(trace.start_success is None for trace in p.seeds.values()):
+        yield "? no reset states whether the task has succeeded"
+    elif solved:
         yield f"{solved} of {len(p.seeds)} resets say that the task has succeeded"
 
 
@@ -212,11 +218,16 @@ def _reward(p: Probes) -> Statements:
         yield "the mean reward of successful steps is not above that of the others"
     elif not good:
         yield "? no step succeeded; give a solver"
+    elif not bad:
+        yield "? every step succeeded"
 
 
 def _keeps_success(p: Probes) -> Statements:
-    lost = [t for t in _whole(p) if any(t.successes) and t.success is False]
-    if lost:
+    reached = [t for t in _whole(p) if any(t.successes)]
+    lost = [t for t in reached if t.success is False]
+    if not reached:
+        yield "? no episode reports success; give a solver"
+    elif lost:
         yield (
             f"{len(lost)} episodes report success at a step and none at their end; "
             "a rate depends on which of them an evaluation reads"
@@ -233,7 +244,9 @@ def _limit(p: Probes) -> Statements:
     """A time limit is a truncation: learners take a termination for a state without future reward."""
     failed = [t for t in _whole(p) if t.ended and t.success is False]
     longest = {t.steps for t in failed}
-    if len(failed) > 2 and len(longest) == 1 and longest != {1} and all(t.terminated for t in failed):
+    if len(failed) < 3:
+        yield f"? a limit shows in 3 episodes that end without success, got {len(failed)}; give more episodes"
+    elif len(longest) == 1 and longest != {1} and all(t.terminated for t in failed):
         yield f"all failed episodes terminate after {longest.pop()} steps; a time limit is to be reported as truncated"
 
 
@@ -257,9 +270,13 @@ def _words_needed(p: Probes) -> Statements:
     if not p.wordless:
         yield "? needs an environment with an instruction, and a solver"
         return
-    several = len({trace.instruction for trace in p.seeds.values()}) > 1
+    several = len({trace.instruction for trace in p.solved}) > 1
     with_words, without = sum(_verdicts(p.solved)), sum(_verdicts(p.wordless))
-    if several and 0 < with_words <= without:
+    if not several:
+        yield "? all episodes have one instruction"
+    elif not with_words:
+        yield "? the solver never succeeded"
+    elif with_words <= without:
         yield f"the solver succeeds as often without the instruction ({_rate(p.wordless)}): the scene reveals the task"
 
 
@@ -271,11 +288,10 @@ def _replay(p: Probes) -> Statements:
 
 
 def _scene_matters(p: Probes) -> Statements:
-    if not p.replayed_elsewhere:
-        yield "? no episode succeeded; give a solver"
-        return
     verdicts = _verdicts(p.replayed_elsewhere)
-    if verdicts and success_rate(sum(verdicts), len(verdicts)).low > 0.5:
+    if not verdicts:
+        yield "? no episode succeeded; give a solver"
+    elif success_rate(sum(verdicts), len(verdicts)).low > 0.5:
         yield f"the actions of one episode solve other seeds without looking: {_rate(p.replayed_elsewhere)}"
 
 

@@ -55,7 +55,7 @@ class AuditConfig:
             )
 
 
-def environment_maker(name: str, **options: Any) -> Callable[[], Environment]:
+def environment_maker(name: str, /, **options: Any) -> Callable[[], Environment]:
     """Return a function that makes a registered environment.
 
     Args:

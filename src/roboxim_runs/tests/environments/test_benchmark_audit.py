@@ -150,6 +150,60 @@ def test_without_a_solver_what_needs_one_is_named():
     assert {"words_needed", "replay", "scene_matters"} <= set(found.untested)
 
 
+class Frames(Reach):
+    """Observations are 8-bit images, and the reset says nothing about success."""
+
+    def __init__(self, fault=""):
+        super().__init__(fault)
+        self.observation_space = Box(0, 255, (2,), np.uint8)
+
+    def reset(self, **options):
+        observation, info = super().reset(**options)
+        info.pop("is_success")
+        return observation, info
+
+    def observation(self):
+        return np.rint(127 + 25 * self.point).clip(0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("make", "config", "check"),
+    [
+        (Reach, CONFIG, "keeps_success"),
+        (Reach, AuditConfig(seeds=2, steps=5, episodes=1, limit=20), "time_limit"),
+        (Frames, CONFIG, "starts_unsolved"),
+        (lambda: Frames("unclipped"), CONFIG, "clipped_actions"),
+        (lambda: Reach("always_solved"), CONFIG, "reward"),
+    ],
+)
+def test_a_check_that_could_not_be_made_has_not_passed(make, config, check):
+    found = audit_benchmark(make, config)
+    assert check in found.untested, found
+
+
+def test_a_solver_without_words_to_follow_or_without_success_says_nothing_about_words():
+    class One(Reach):
+        def reset(self, **options):
+            found = super().reset(**options)
+            self.words = LEFT
+            return found[0], self.info(False)
+
+    assert "one instruction" in audit_benchmark(One, CONFIG, solver=solver).untested["words_needed"]
+    idle = audit_benchmark(Reach, CONFIG, solver=lambda: lambda *_: np.zeros(2))
+    assert "never succeeded" in idle.untested["words_needed"]
+
+
+def test_images_show_whether_actions_are_clipped():
+    assert "clipped_actions" in audit_benchmark(Frames, CONFIG).passed
+
+
+def test_an_environments_own_option_may_be_called_name():
+    made = []
+    gymnasium.register("Named-v0", lambda name: made.append(name) or Reach())
+    environment_maker("Named-v0", **{"name": "mine"})()
+    assert made == ["mine"]
+
+
 def test_a_broken_environment_and_an_unknown_one_are_refused():
     class Broken(Reach):
         def reset(self, **_):
