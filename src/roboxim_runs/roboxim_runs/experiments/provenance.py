@@ -24,8 +24,8 @@ from roboxim_runs.storage.store import file_sha256
 ATTEST_FILE = "attest.yaml"
 ORIGIN = "ran"
 """Key of a line of ``stages.jsonl`` with what the stage ran with, an `Origin`."""
-UNSTATED = ("", 0, None)
-"""Values of a recipe that say nothing: those of the template."""
+TEMPLATE = {"model": "", "steps": 0, "batch": 0, "learning_rate": 0.0}
+"""Recipe to fill in: these values of these keys say nothing, as do an empty text and null of others."""
 UNKNOWN = "unknown"
 """How statements name what lines of older versions do not state."""
 
@@ -232,7 +232,7 @@ class Attestations:
                 raise ConfigError(f"{ATTEST_FILE}: trainings.{key}.recipe must be a mapping, got {recipe!r}")
             attested = {**attested, **own, "recipe": {**attested["recipe"], **recipe}}  # type: ignore[dict-item]
         attest: Attestation = from_plain(attested, Attestation, source=f"{ATTEST_FILE}, training {name}")
-        recipe = {key: value for key, value in attest.recipe.items() if value not in UNSTATED}
+        recipe = {key: value for key, value in attest.recipe.items() if value not in ("", None, TEMPLATE.get(key))}
         if attest.dataset_sha256 and dataset_sha256 and attest.dataset_sha256 != dataset_sha256:
             raise ConfigError(
                 f"{ATTEST_FILE}: training {name} used a dataset with hash {attest.dataset_sha256}, not the one that "
@@ -257,7 +257,7 @@ class Attestations:
 def attestation_template(names: tuple[str, ...]) -> str:
     """Return the text of an ``attest.yaml`` to fill in, for policies that are trained elsewhere."""
     content = {
-        "recipe": {"model": "", "steps": 0, "batch": 0, "learning_rate": 0.0},
+        "recipe": dict(TEMPLATE),
         "pretraining": "",
         "exposure": "unknown",
         "trainings": {name: {"dataset_sha256": ""} for name in names},

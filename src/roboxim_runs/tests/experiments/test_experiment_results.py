@@ -195,6 +195,10 @@ def test_what_nobody_states_about_trainings_elsewhere_is_missed_not_filled_in(tm
     assert card.trainings[0].attest.recipe == {"model": "octo", "steps": 9}
     assert [t.attest.dataset_sha256 for t in card.trainings if t.condition == "leave_out"][:2] == [said, ""]
     assert not any("is not stated" in warning for warning in card.warnings)
+    attest.write_text("recipe: {augment: false, dropout: 0, batch: 0, weights: '', seed: null}\n")
+    (tmp_path / "run/card.json").unlink()
+    card = folder_card(ExperimentFolder.of(folder.path))
+    assert card.trainings[0].attest.recipe == {"augment": False, "dropout": 0}
 
 
 def test_stored_proofs_and_substitutions_are_part_of_the_card(tmp_path):
