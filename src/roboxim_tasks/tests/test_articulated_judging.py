@@ -1,6 +1,7 @@
 """When buttons, drawers, turns and pushes count, over made-up ticks."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,6 +10,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.specs import PhysicalObject, TaskSpec
 from roboxim_core.state import Contact, EntityState, RobotState, StateRecord
 from roboxim_tasks.judging import Judge
+from roboxim_tasks.sequences.steps import arguments_of
 
 ROBOT = RobotState(
     joint_names=(), joint_positions=(), joint_velocities=(), joint_commands=(), pose_tcp_measured=Pose(),
@@ -193,3 +195,39 @@ def test_upright_is_the_right_way_up(tilt_deg, success):
     of = task("turn_upright", tilt_deg=10.0)
     records = [pushed(0, 0.5, 0.0, roll_deg=90), *(pushed(k, 0.5, 0.0, roll_deg=tilt_deg) for k in range(1, 8))]
     assert fold(of, records)[-1].success is success
+
+
+def both_buttons(order):
+    """Return the task to push the target, then the distractor of `button`, here a named object."""
+    things = {
+        role: PhysicalObject(entity=entity, model="button", name="button")
+        for role, entity in (("first", "target"), ("second", "distractor_1"))
+    }
+    step = {"travel_m": 0.006, "joint": "press", "fingers": "finger other_finger"}
+    pairs = [
+        (TaskSpec(skill="push_button", objects={"target": thing}, arguments=step, instruction="push"), {"target": role})
+        for role, thing in things.items()
+    ]
+    return TaskSpec(
+        skill="push_button+push_button", objects=things, arguments=arguments_of(pairs, order), instruction="push both"
+    )
+
+
+@pytest.mark.parametrize("order", ["fixed", "any"])
+def test_two_buttons_of_one_task_may_both_be_pressed(order):
+    on_other = replace(BY_FINGER, body_a="distractor_1", link_a="cap", body_b="robot", link_b="finger")
+    first = [button(0, 0.0, 0.0), button(1, 0.011, 0.011), button(2, 0.011, 0.011), button(3, 0.0, 0.011, contacts=())]
+    verdicts = fold(both_buttons(order), [*first, button(4, 0.0, 0.0, other=0.011, contacts=(on_other,))])
+    assert [verdict.success for verdict in verdicts] == [False] * 4 + [True]
+    assert verdicts[2].predicates["steps_done"] == 1
+
+
+def test_a_button_to_be_pushed_twice_must_come_up_in_between():
+    whole = both_buttons("fixed")
+    roles = {"step_1.roles": "target=first", "step_2.roles": "target=first"}
+    twice = replace(whole, objects={"first": whole.objects["first"]}, arguments=whole.arguments | roles)
+    held = [button(0, 0.0, 0.0), *(button(k, 0.011, 0.011) for k in (1, 2, 3))]
+    up = button(4, 0.0, 0.011, contacts=())
+    verdicts = fold(twice, [*held, up, button(5, 0.011, 0.011)])
+    assert [verdict.success for verdict in verdicts] == [False] * 5 + [True]
+    assert verdicts[4].reason == "step_2_not_pressed"

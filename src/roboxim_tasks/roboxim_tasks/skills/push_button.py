@@ -3,19 +3,21 @@
 Randomisation: the button's place, yaw and colour; where the end effector starts; distractors, other buttons among them.
 
 Success: in some physics step the button was pressed in by more than ``travel_m``, in a tick in which only fingers of
-the robot touched it, and no other button has been pressed.
+the robot touched it, and no button that the task does not name has been pressed.
 
 Non-obvious:
     - Only a finger may press the button, with its tip or a side. A hand or an arm that leans on the button does not
       count, because a flailing arm hits it like that.
     - The press is latched, because a button springs back at once: it need not be pressed when the episode ends.
+    - A button that is down when judging begins, e.g. from the step before, must come up before a press counts.
+    - Buttons of other steps of a longer task may be pressed.
     - The expert dwells at the bottom, because the reference rounds corners where it does not stop.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from roboxim_core.errors import ConfigError
@@ -29,6 +31,7 @@ from roboxim_tasks.handling import touching_links
 from roboxim_tasks.measures import Condition, Conditions, Measure, above, joint_highest_ever, joint_value
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
 from roboxim_tasks.reach import reaches_in_lines, start_clear
+from roboxim_tasks.roles import task_objects
 from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
@@ -111,19 +114,25 @@ class PushButton(Skill):
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
         """Judge: pressed by a finger at some time, and no other button pressed."""
         parameters: PushButtonParameters = parameters_of(task, PushButtonParameters)
-        target = task.objects["target"].entity
+        target, fingers = task.objects["target"].entity, set(parameters.fingers.split())
+
+        def by_finger(state: StateRecord) -> bool:
+            links = touching_links(state, target)
+            return bool(links) and links <= fingers
+
         return Conditions(
             (
                 Condition(
-                    name="others_left", measure=_others_travel(target, parameters.joint, initial),
+                    name="others_left", measure=_others_travel(task, parameters.joint, initial),
                     most=parameters.travel_m, reason="pressed_other_button", fatal=True,
                 ),
                 Condition(
-                    name="pressed", measure=joint_highest_ever(target, parameters.joint, "travel_m"),
+                    name="pressed", measure=_travel("travel_m", target, parameters, initial),
                     least=above(parameters.travel_m),
                 ),
                 Condition(
-                    name="by_finger", measure=_finger_travel(target, parameters), least=above(parameters.travel_m)
+                    name="by_finger", measure=_travel("finger_travel_m", target, parameters, initial, by_finger),
+                    least=above(parameters.travel_m),
                 ),
             ),
             hold_s=0.0,
@@ -144,23 +153,30 @@ def pressed_pose(face: Pose, yaw_rad: float) -> Pose:
     return Pose.from_arrays((x, y, z), Rotation.from_euler("z", yaw_rad) * Rotation.from_euler("x", math.pi))
 
 
-def _finger_travel(target: str, parameters: PushButtonParameters) -> Measure:
-    """Measure a button's largest travel so far, over the ticks in which only fingers of the robot touched it."""
-    fingers = set(parameters.fingers.split())
+def _travel(
+    name: str,
+    target: str,
+    parameters: PushButtonParameters,
+    initial: StateRecord,
+    counts: Callable[[StateRecord], bool] = lambda state: True,
+) -> Measure:
+    """Measure a button's largest travel so far, over the ticks that count and since it was first up [m]."""
     best = [0.0]
+    down = [joint_value(initial, target, parameters.joint, "joint_positions") > parameters.travel_m]
 
     def travel(state: StateRecord) -> float:
-        links = touching_links(state, target)
-        if links and links <= fingers:
+        if not down[0] and counts(state):
             best[0] = max(best[0], joint_value(state, target, parameters.joint, "joint_highest"))
+        down[0] &= joint_value(state, target, parameters.joint, "joint_positions") > parameters.travel_m
         return best[0]
 
-    return Measure(name="finger_travel_m", of=travel)
+    return Measure(name=name, of=travel)
 
 
-def _others_travel(target: str, joint: str, initial: StateRecord) -> Measure:
-    """Measure the largest travel of any other button so far [m]."""
-    others = [e.name for e in initial.entities if e.name != target and joint in e.joint_names]
+def _others_travel(task: TaskSpec, joint: str, initial: StateRecord) -> Measure:
+    """Measure the largest travel so far of any button that the task does not name [m]."""
+    named = {thing.entity for thing in task_objects(task)}
+    others = [e.name for e in initial.entities if e.name not in named and joint in e.joint_names]
     measures = [joint_highest_ever(name, joint) for name in others]
     return Measure(
         name="others_travel_m", of=lambda state: max((measure.of(state) for measure in measures), default=0.0)
