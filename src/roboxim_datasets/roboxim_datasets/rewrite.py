@@ -10,10 +10,11 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -21,11 +22,12 @@ from roboxim_core.config import from_plain, to_plain
 from roboxim_core.config import to_json as config_json
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, printable
 from roboxim_core.plain_data.documents import read_json_object, read_text
+from roboxim_core.shards import Shard
 from roboxim_datasets.account import Part, Treatment, to_json
 from roboxim_datasets.build import only_build
 from roboxim_datasets.card import card_path, write_card
 from roboxim_datasets.dataset import EXPORT_FILE, SPLITS, Dataset, Description
-from roboxim_datasets.episode import METADATA, OWN_FIELDS, Episode, MetaValue, Step, Wanted
+from roboxim_datasets.episode import OWN_FIELDS, Episode, MetaValue, Step, Wanted
 from roboxim_datasets.files import file_in, has_file, reading
 from roboxim_datasets.plans import Plan
 from roboxim_datasets.registry import FORMATS
@@ -102,11 +104,15 @@ def write_dataset(
     path = made.path(target, settings)
     _require_outside(path, sources)
     description = stated_rate(common_description(sources, keep_keys=keep_keys), fps, sources)
+    metadata, partial = _metadata_of(plan)
+    description = replace(description, metadata=metadata)
     if any(place.changed and place.read().success is None for places in plan.values() for place in places):
         description = replace(description, outcomes=False)
     _require_names(description, plan)
     left_out = [part for source in sources for part in source.account.left_out]
     changed = tuple(part for source in sources for part in source.account.changed)
+    if not getattr(made, "own_metadata", True):
+        left_out += partial
     if not getattr(made, "maps", True):
         description, more = _without_maps(description, plan, format)
         left_out += more
@@ -272,10 +278,16 @@ def common_description(sources: Sequence[Dataset], *, keep_keys: bool = False) -
         pairs = {
             "cameras": (first.features.cameras, other.features.cameras),
             "action": (first.features.action, other.features.action),
+            "depth images": (tuple(sorted(first.features.depth)), tuple(sorted(other.features.depth))),
+            "segmentation images": (
+                tuple(sorted(first.features.segmentation)),
+                tuple(sorted(other.features.segmentation)),
+            ),
             "vectors": (first.features.vectors, other.features.vectors),
             "signals": (first.features.signals, other.features.signals),
             "steps per second": (first.fps, other.fps),
             "robot": (first.robot, other.robot),
+            "joints": (first.joint_names, other.joint_names),
             "meaning of the actions": (first.semantics, other.semantics),
         }
         for what, (left, right) in pairs.items():
@@ -292,11 +304,44 @@ def common_description(sources: Sequence[Dataset], *, keep_keys: bool = False) -
             keys = {camera: re.sub(r"[./]", "_", camera) for camera in keys}
     rate = f"{first.fps:g} Hz" if first.fps else "rate not stated"
     text = first.text or f"{sum(map(len, sources))} episodes; robot: {first.robot or 'not stated'}; {rate}."
-    metadata = _metadata_kinds(sources)
     outcomes = all(source.description.outcomes for source in sources)
     subtasks = any(source.features.subtasks for source in sources)
     features = replace(first.features, keys=keys, subtasks=subtasks)
-    return replace(first, features=features, text=text, metadata=metadata, outcomes=outcomes)
+    return replace(first, features=features, text=text, outcomes=outcomes)
+
+
+def require_all_shards(sources: Sequence[Dataset]) -> None:
+    """Refuse datasets that are shards of an export (``--shard``), but not all of them.
+
+    Raises:
+        RecorderError: ``EXPORT_REFUSED``, naming those that are missing.
+    """
+    given: dict[str, Counter[Shard]] = {}
+    for source in sources:
+        for export, shard in _shards(source.facts):
+            given.setdefault(export, Counter())[shard] += 1
+    for shards in given.values():
+        count = next(iter(shards)).count
+        every = [Shard(number=number, count=count) for number in range(1, count + 1)]
+        missing = [str(shard) for shard in every if shards[shard] < max(shards.values())]
+        if missing:
+            shown = ", ".join(missing[:5]) + (", ..." if len(missing) > 5 else "")
+            raise RecorderError(
+                f"the datasets are shards of an export, of which {shown} {'are' if missing[1:] else 'is'} missing; "
+                "merge all of them, or those that there are (--partial or partial=True)",
+                ErrorCode.EXPORT_REFUSED,
+            )
+
+
+def _shards(facts: Mapping[str, Any]) -> Iterator[tuple[str, Shard]]:
+    """Yield the shards that a dataset consists of, each with the settings of its export and the number of shards."""
+    config = facts.get("config")
+    if isinstance(config, Mapping) and config.get("shard"):
+        shard = Shard.parse(str(config["shard"]))
+        yield json.dumps([{**config, "shard": shard.count}, facts.get("format")], sort_keys=True), shard
+    if facts.get("how") in ("convert", "merge"):
+        for source in facts.get("sources", ()):
+            yield from _shards(source)
 
 
 def _neutral(camera: str, key: str) -> str:
@@ -305,14 +350,19 @@ def _neutral(camera: str, key: str) -> str:
     return USUAL_KEYS.get(camera, last) if last in (camera, f"{camera}_image", f"{camera}_rgb") else last
 
 
-def _metadata_kinds(sources: Sequence[Dataset]) -> dict[str, type[MetaValue]]:
-    """Return the metadata that the first episode of every source has, key to type."""
-    found: dict[str, type[MetaValue]] | None = None
-    for source in sources:
-        metadata = next(source.episodes()).metadata
-        kinds = {key: METADATA.get(key, type(value)) for key, value in metadata.items() if key not in OWN_FIELDS}
-        found = kinds if found is None else {key: kind for key, kind in found.items() if kinds.get(key) == kind}
-    return found or {}
+def _metadata_of(plan: Plan) -> tuple[dict[str, type[MetaValue]], list[Part]]:
+    """Return the metadata that every episode has in one type, key to type, and the others as parts."""
+    kinds: dict[str, Counter[type]] = {}
+    for place in (place for places in plan.values() for place in places):
+        for key, value in place.read().metadata.items():
+            if key not in OWN_FIELDS:
+                kinds.setdefault(key, Counter())[type(value)] += 1
+    total = sum(map(len, plan.values()))
+    common = {key: next(iter(of)) for key, of in kinds.items() if list(of.values()) == [total]}
+    found = {key: kind for key, kind in common.items() if kind in get_args(MetaValue)}
+    why = "only metadata that every episode has, as text, number or truth value of one type, are written"
+    left = {key: of.total() for key, of in kinds.items() if key not in found}
+    return found, [Part(kind="metadata", name=k, count=n, treatment="left out", why=why) for k, n in left.items()]
 
 
 def _common_convention(sources: Sequence[Dataset]) -> str:

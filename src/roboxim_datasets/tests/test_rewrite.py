@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
 from roboxim_datasets.compare import compare
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.plans import plan_of, split_plan
-from roboxim_datasets.rewrite import options_like, write_dataset
+from roboxim_datasets.rewrite import options_like, require_all_shards, write_dataset
 from roboxim_datasets.rlds import RldsOptions
 
 
@@ -44,6 +45,54 @@ def test_what_does_not_fit_together_is_refused(tmp_path, write):
         with pytest.raises(RecorderError, match="is, or lies in, the source") as caught:
             write_dataset(plan_of(a), target, "rlds", RldsOptions(name="roboxim"), how="convert", overwrite=True)
         assert caught.value.code == ErrorCode.EXPORT_REFUSED
+
+
+def with_depth(episode):
+    """Return an episode with depth images."""
+
+    def read(wanted):
+        for step in episode.read(wanted):
+            yield replace(step, depth={camera: np.ones((32, 48), np.float32) for camera in wanted.depth})
+
+    return replace(episode, depth=("workspace",), read=read)
+
+
+def test_depth_images_of_some_datasets_are_not_dropped(tmp_path, write, episode_of, description):
+    about = replace(description, features=replace(description.features, depth=("workspace",)))
+    a = write(tmp_path / "a", [0], format="hdf5")
+    b = write(tmp_path / "b", [with_depth(episode_of(1))], format="hdf5", description=about)
+    for pair in ((a, b), (b, a)):
+        with pytest.raises(RecorderError, match="do not fit together: depth images"):
+            write_dataset(plan_of(*pair), tmp_path / "m", "hdf5", how="merge")
+
+
+def test_metadata_that_not_every_episode_has_are_named(tmp_path, write, episode_of):
+    more = [
+        episode_of(1, metadata={"note": "blue", "tries": 2}),
+        episode_of(2, metadata={"note": "red", "tries": "two"}),
+    ]
+    a = write(tmp_path / "a", more, format="hdf5")
+    written = write_dataset(plan_of(a), tmp_path / "m", "rlds", how="convert")
+    assert [(part.name, part.count) for part in written.left_out] == [("tries", 2)]
+    assert "not_read" in open_dataset(written.path).facts
+    assert [e.metadata for e in open_dataset(written.path).episodes()] == [{"note": "blue"}, {"note": "red"}]
+    same = write_dataset(plan_of(a), tmp_path / "h", "hdf5", how="convert")
+    assert not same.left_out
+    assert open_dataset(same.path).episode(1).metadata == more[1].metadata
+
+
+def test_some_shards_of_an_export_are_not_merged_as_all(tmp_path, write):
+    parts = [write(tmp_path / str(number), [number]) for number in range(3)]
+    for number, part in enumerate(parts, start=1):
+        facts = {"format": "rlds", "config": {"shard": f"{number}/3", "name": "roboxim"}}
+        (part.path / "export.json").write_text(json.dumps(facts))
+    parts = [open_dataset(part.path) for part in parts]
+    require_all_shards(parts)
+    two = open_dataset(write_dataset(plan_of(*parts[:2]), tmp_path / "two", "rlds", how="merge").path)
+    require_all_shards([two, parts[2]])
+    for some, missing in (([parts[0], parts[2]], "2/3 is"), ([two], "3/3 is"), ([parts[1]], "1/3, 3/3 are")):
+        with pytest.raises(RecorderError, match=f"of which {missing} missing"):
+            require_all_shards(some)
 
 
 def test_an_interrupted_merge_goes_on(tmp_path, write):

@@ -12,7 +12,7 @@ from roboxim_datasets.compare import LOWEST_PSNR_DB, Comparison, Images, compare
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.plans import Plan, plan_of, split_plan
-from roboxim_datasets.rewrite import Written, options_like, write_dataset
+from roboxim_datasets.rewrite import Written, options_like, require_all_shards, write_dataset
 from roboxim_recorder.driven import DrivenDataset, is_driven
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
@@ -79,6 +79,7 @@ def merge_datasets(
     sources: Sequence[Path | str],
     target: Path | str,
     *,
+    partial: bool = False,
     overwrite: bool = False,
     on_event: OnEvent = ignore,
     cancellation: Cancellation | None = None,
@@ -88,6 +89,7 @@ def merge_datasets(
     Args:
         sources: The datasets; they are only read. They must have the same features, meaning of actions and robot.
         target: Folder to write into.
+        partial: Accept that shards of an export are missing.
         overwrite: Replace an existing dataset.
         on_event: Receives the run's events.
         cancellation: Ends the merge when it is set.
@@ -95,12 +97,15 @@ def merge_datasets(
     Raises:
         CancelledError: When the merge was cancelled.
         ConfigError: When there is no such dataset, or the formats differ.
-        RecorderError: ``EXPORT_REFUSED`` when the datasets do not fit together, or an episode occurs twice.
+        RecorderError: ``EXPORT_REFUSED`` when the datasets do not fit together, an episode occurs twice, or shards of
+            an export are missing.
     """
     datasets = [open_dataset(source) for source in sources]
     kinds = {dataset.format for dataset in datasets}
     if len(kinds) > 1:
         raise ConfigError(f"datasets of several formats ({', '.join(sorted(kinds))}); convert them to one first")
+    if not partial:
+        require_all_shards(datasets)
     plan = plan_of(*datasets)
     return _write_like(datasets[0], plan, Path(target), "merge", Reporter(on_event, cancellation), overwrite)
 

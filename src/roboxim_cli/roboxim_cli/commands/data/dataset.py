@@ -160,8 +160,9 @@ def _convert(name: str, options: Any, source: Path, target: Path, **more: Any) -
 @command.command("merge", begins="merging")
 @click.argument("sources", type=_path, nargs=-1, required=True)
 @option("out", required=True, help="Folder of the dataset.")
+@click.option("--partial", is_flag=True, help="Merge although shards of an export are missing.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing dataset.")
-def merge(sources: tuple[Path, ...], out: Path, overwrite: bool) -> None:
+def merge(sources: tuple[Path, ...], out: Path, partial: bool, overwrite: bool) -> None:
     """Write datasets of one format as one. They must have the same features, meaning of actions and robot.
 
     The sources are only read. The same command continues an interrupted merge.
@@ -170,7 +171,7 @@ def merge(sources: tuple[Path, ...], out: Path, overwrite: bool) -> None:
     from roboxim_runs.datasets.rewriting import merge_datasets
 
     with EventPrinter() as printer:
-        _print_written(merge_datasets(sources, out, overwrite=overwrite, on_event=printer))
+        _print_written(merge_datasets(sources, out, partial=partial, overwrite=overwrite, on_event=printer))
 
 
 @command.command("split", begins="splitting")
