@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from roboxim_datasets.lerobot import LeRobotFormat, LeRobotOptions, LeRobotWrite
 from roboxim_datasets.lerobot.content import content_of, layout_of
 from roboxim_datasets.plans import plan_of
 from roboxim_datasets.rewrite import write_dataset
+from roboxim_datasets.video.client import VideoDecoder, VideoWriters
 
 ACTION = ("dx", "dy", "gripper")
 FEATURES = Features(
@@ -292,6 +294,25 @@ def test_a_damaged_video_is_named(version_30, tmp_path):
     with pytest.raises(RecorderError, match="observation.images.top") as caught:
         list(open_dataset(path).episode(0).steps(["top"]))
     assert caught.value.code == ErrorCode.BAG_DAMAGED
+
+
+def test_a_step_has_the_nearest_frame_of_a_video_of_another_rate(tmp_path):
+    path, writers, decoder = tmp_path / "v.mp4", VideoWriters(1), VideoDecoder()
+    video = writers.open(path, codec="h264", rate=Fraction(30), height=32, width=32)
+    for number in range(16):
+        video.add(np.full((32, 32, 3), 15 * number, np.uint8))
+    video.close().result()
+    writers.close()
+    for rate, begin_s in ((10, Fraction(0)), (10, Fraction(8, 30)), (20, Fraction(4, 30))):
+        times = [begin_s + Fraction(step, rate) for step in range(int((Fraction(1, 2) - begin_s) * rate) + 1)]
+        found = decoder.frames(path, rate=Fraction(rate), first=begin_s * rate, count=len(times))
+        nearest = [min(range(16), key=lambda frame, time=time: abs(Fraction(frame, 30) - time)) for time in times]
+        assert [round(float(image.mean()) / 15) for image in found] == nearest
+    with pytest.raises(RecorderError, match="ends 2 frames early, expected 3 from 0.5 s on"):
+        list(decoder.frames(path, rate=Fraction(10), first=Fraction(5), count=3))
+    with pytest.raises(RecorderError, match=r"the frame at 0.01667 s is missing; the nearest one is at 0 s"):
+        list(decoder.frames(path, rate=Fraction(60), first=Fraction(0), count=3))
+    decoder.close()
 
 
 def test_depth_and_segmentation_are_compared_between_formats(tmp_path: Path) -> None:

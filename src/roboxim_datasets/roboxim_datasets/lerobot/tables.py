@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,8 +45,8 @@ class Place:
     """Its instructions, as the table of episodes says."""
     data_file: str
     """File of its rows."""
-    videos: Mapping[str, tuple[str, int]]
-    """Column to the video file and the number of its first frame in it."""
+    videos: Mapping[str, tuple[str, Fraction]]
+    """Column to the video file and the time of its first step in it [steps]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -194,7 +195,7 @@ def episodes_30(folder: Path, info: Mapping[str, Any], videos: Sequence[str], fp
             if not isinstance(begin, int | float) or not math.isfinite(begin * fps) or begin < 0:
                 raise damaged(f"{where}: 'videos/{key}/from_timestamp' is {begin}, expected seconds")
             name = path_of(info.get("video_path"), video_key=key, chunk_index=chunk, file_index=part)
-            starts[key] = name, round(begin * fps)
+            starts[key] = name, Fraction(begin) * Fraction(fps)
         found.add(
             Place(
                 number=number,
@@ -224,7 +225,7 @@ def episodes_21(folder: Path, info: Mapping[str, Any], videos: Sequence[str]) ->
                 length=_count(row, "length", f"meta/episodes.jsonl, episode {number}"),
                 tasks=_texts(row.get("tasks")),
                 data_file=path_of(info.get("data_path"), **at),
-                videos={key: (path_of(info.get("video_path"), video_key=key, **at), 0) for key in videos},
+                videos={key: (path_of(info.get("video_path"), video_key=key, **at), Fraction()) for key in videos},
             )
         )
     return found

@@ -246,19 +246,19 @@ class VideoDecoder:
         path: Path,
         *,
         rate: Fraction,
-        first: int,
+        first: Fraction,
         count: int,
         height: int = 0,
         width: int = 0,
         deep: bool = False,
     ) -> Iterator[npt.NDArray[Any]]:
-        """Yield ``count`` frames from frame ``first``: RGB, uint8, shape (height, width, 3).
+        """Yield ``count`` frames, one for each step of the dataset: RGB, uint8, shape (height, width, 3).
 
         Args:
             path: Video file.
-            rate: Frames per second of the dataset; frame k is at k / rate.
-            first: Number of the first frame.
-            count: Number of frames.
+            rate: Steps per second of the dataset.
+            first: Time of the first step [steps]. The video may have another rate: a step has the nearest frame.
+            count: Number of steps.
             height: Expected height of the frames [px]; 0: any.
             width: Expected width of the frames [px]; 0: any.
             deep: Whether frames are grey ones of 9 to 16 bits, which are yielded as uint16, shape (height, width).
@@ -268,7 +268,7 @@ class VideoDecoder:
                 another size, which are not decoded.
         """
         number = next(self._numbers)
-        self._ask({"op": "start", "video": number, "path": str(path), "rate": str(rate), "first": first,
+        self._ask({"op": "start", "video": number, "path": str(path), "rate": str(rate), "first": str(first),
                    "count": count, "height": height, "width": width, "deep": deep})  # fmt: skip
         try:
             left = count
@@ -278,7 +278,7 @@ class VideoDecoder:
                 )
                 if not header["shapes"]:
                     raise RecorderError(
-                        f"video {path} ends {left} frames early, expected {count} from frame {first}",
+                        f"video {path} ends {left} frames early, expected {count} from {float(first / rate):.4g} s on",
                         ErrorCode.BAG_DAMAGED,
                     )
                 at = 0

@@ -10,6 +10,7 @@ nor many episodes in one file accumulate rounding errors.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import signal
 import struct
@@ -126,14 +127,14 @@ def _require_frames(file: BinaryIO, start: int, end: int) -> None:
 
 
 class Decoding:
-    """Frames of a video, in order from a given one."""
+    """Frames of a video, one for each step of a dataset from a given time on."""
 
     def __init__(
         self,
         path: str,
         *,
         rate: Fraction,
-        first: int,
+        first: Fraction,
         count: int,
         height: int = 0,
         width: int = 0,
@@ -162,7 +163,7 @@ class Decoding:
         self._base = base
         if first:
             # Half a frame early: a file's times are rounded to its time base.
-            at = int((Fraction(first) - Fraction(1, 2)) / rate / self._base)
+            at = int((first - Fraction(1, 2)) / rate / self._base)
             self._container.seek(max(at, 0), stream=self._video, backward=True)
         self._frames = self._from(first)
 
@@ -181,16 +182,30 @@ class Decoding:
         """Close the file."""
         self._container.close()
 
-    def _from(self, first: int) -> Iterator[Any]:
-        expected = first
-        for frame in self._container.decode(self._video):
-            number = round(frame.pts * self._base * self._rate)
-            if number < expected:
-                continue
-            if number > expected:
-                raise ValueError(f"frame {expected} is missing; the next one is {number}")
+    def _from(self, first: Fraction) -> Iterator[Any]:
+        """Yield the frame nearest to each step, the earlier of two, as lerobot's loader does.
+
+        Raises:
+            ValueError: When it is more than half a step off.
+        """
+        decoded = self._container.decode(self._video)
+        frame, following = next(decoded, None), next(decoded, None)
+        for number in itertools.count():
+            wanted = first + number
+            while following is not None and abs(self._step(following) - wanted) < abs(self._step(frame) - wanted):
+                frame, following = following, next(decoded, None)
+            if frame is None or (following is None and self._step(frame) < wanted - Fraction(1, 2)):
+                return
+            if abs(self._step(frame) - wanted) > Fraction(1, 2):
+                second, nearest = (float(step / self._rate) for step in (wanted, self._step(frame)))
+                raise ValueError(f"the frame at {second:.4g} s is missing; the nearest one is at {nearest:.4g} s")
             yield frame
-            expected += 1
+
+    def _step(self, frame: Any) -> Fraction:
+        """Return the time of a frame in steps of the dataset."""
+        if frame.pts is None:
+            raise ValueError("a frame has no time")
+        return Fraction(frame.pts * self._base * self._rate)
 
 
 def _rgb(frame: Any, convert: VideoReformatter) -> npt.NDArray[np.uint8]:
@@ -275,7 +290,8 @@ class Worker:
         elif operation == "probe":
             return probe(header["path"]), []
         elif operation == "start":
-            self._decoding[number] = Decoding(rate=rate, **_without_bytes(header))
+            first = Fraction(header.pop("first"))
+            self._decoding[number] = Decoding(rate=rate, first=first, **_without_bytes(header))
             return {}, []
         elif operation == "read":
             frames = self._decoding[number].read(header["count"])
