@@ -92,9 +92,31 @@ def test_planted_policies_give_their_curve():
     assert curve.enough == 6
     assert curve.change.low > 0
     page = experiment_page(ExperimentPage(card=card))
-    assert "6 combinations are shown to be enough: as good as 10 within the margin." in page
+    assert "6 combinations are shown to be enough: as good as 10 within the margin, or better." in page
     assert "seen combinations</text>" in page
     assert card.scores is None, "the largest set is no baseline: it never saw the held-out cells either"
+
+
+def test_one_training_shows_nothing_about_numbers_of_combinations():
+    for rate in (0.1, 0.9):
+        design = design_of(experiment_of(TEXT, replicates={"count": 1}, evaluate={"per_cell": 200}))
+        card = planted_card(design, lambda condition, cell, rate=rate: rate if condition == "seen_4" else 0.9)
+        assert {(one.question, one.kind) for one in card.verdicts} <= {
+            ("checkpoint", "lower"), ("checkpoint", "as_good")}  # fmt: skip
+        curve = card_curve(card)
+        assert (curve.enough, curve.fewer) == (None, ())
+        assert "no interval from one training" in " ".join(curve.sentences)
+
+
+def test_a_better_number_is_enough_and_comparisons_with_other_cells_do_not_count():
+    other = {"first": "seen_4", "second": "seen_10", "where": "unseen", "against": "seen", "primary": True}
+    config = experiment_of(TEXT, compare=[other], evaluate={"per_cell": 60, "cells": {"seen_10": "all"}})
+    assert [(one.first, one.against) for one in config.compare] == [("seen_4", ""), ("seen_6", ""), ("seen_4", "seen")]
+    rates = {"seen_4": 0.8, "seen_6": 0.8, "seen_10": 0.3}
+    card = planted_card(design_of(config), lambda condition, cell: rates[condition] if cell.unseen else 0.99)
+    assert [one.kind for one in card.verdicts] == ["lower", "higher", "higher"]
+    curve = card_curve(card)
+    assert (curve.enough, curve.fewer) == (4, ())
 
 
 def test_equal_policies_have_no_trend():

@@ -87,7 +87,10 @@ def card_curve(card: Card) -> TransferCurve | None:
     if config.combinations is None:
         return None
     largest = name_of(config.combinations.seen[-1])
-    kinds = {one.first: one.kind for one in card.verdicts if one.second == largest and one.where == "unseen"}
+    kinds = {
+        one.first: one.kind for one in card.verdicts
+        if (one.second, one.where, one.question) == (largest, "unseen", "condition") and one.against in ("", one.where)
+    }  # fmt: skip
     return transfer_curve(config, config.combinations, outcomes_of_card(card).arms, kinds)
 
 

@@ -86,7 +86,7 @@ def expanded(config: ExperimentConfig) -> ExperimentConfig:
         )
         for number in combinations.seen[:-1]
     ]  # fmt: skip
-    known = {(one.first, one.second, one.where) for one in config.compare}
+    known = {(one.first, one.second, one.where) for one in config.compare if one.against in ("", one.where)}
     added = tuple(one for one in compares if (one.first, one.second, one.where) not in known)
     evaluated = dict.fromkeys(conditions, "unseen") | config.evaluate.cells
     return replace(
@@ -189,7 +189,7 @@ class TransferCurve:
     """Change of the success rate from the smallest to the largest number, of a straight line over the logarithm of the
     number; unbounded for one training."""
     enough: int | None
-    """Smallest number from which on all are shown to be as good as the largest one; none: none is."""
+    """Smallest number from which on all are shown to be as good as the largest one, or better; none: none is."""
     fewer: tuple[int, ...]
     """Numbers that are shown to be worse than the largest one."""
 
@@ -206,7 +206,7 @@ class TransferCurve:
             "equal numbers of demonstrations."
         )
         if self.enough is not None:
-            yield f"{self.enough} combinations are shown to be enough: as good as {last} within the margin."
+            yield f"{self.enough} combinations are shown to be enough: as good as {last} within the margin, or better."
         else:
             yield f"No smaller number of combinations is shown to be as good as {last} within the margin."
         if self.fewer:
@@ -222,7 +222,8 @@ def transfer_curve(
         config: The experiment.
         combinations: Its combinations.
         arms: Condition to its outcomes.
-        kinds: Condition ``seen_N`` to the verdict of its comparison with the largest number in held-out cells.
+        kinds: Condition ``seen_N`` to the verdict about its way to train against that with the largest number, in
+            held-out cells.
     """
     unseen = [cell.key for cell in cells_of(config) if cell.unseen]
     held_out = [arms[name].within(unseen) for name in names_of(combinations)]
@@ -234,7 +235,7 @@ def transfer_curve(
         for number, arm in zip(combinations.seen, held_out, strict=True)
     )  # fmt: skip
     smaller = combinations.seen[:-1]
-    good = [kinds.get(name_of(number)) == "as_good" for number in smaller]
+    good = [kinds.get(name_of(number)) in ("as_good", "higher") for number in smaller]
     enough = next((number for place, number in enumerate(smaller) if all(good[place:])), None)
     places = [math.log(number) for number in combinations.seen]
     return TransferCurve(
