@@ -6,6 +6,7 @@ The rooms check their own parts: `roboxim_eval` the experiment, `roboxim_tasks` 
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -145,6 +146,20 @@ def write_experiment(config: ExperimentConfig, path: Path) -> None:
     content = json.loads(json.dumps({**to_plain(config), "scales": {}}))
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def run_words(file: Path, config: ExperimentConfig, trainer: str, command: str = "experiment run") -> str:
+    """Return the command that runs a file that `write_experiment` or `write_rotated` wrote.
+
+    Args:
+        file: The file.
+        config: The experiment, or a part of it.
+        trainer: The trainer that it was written for, see `load_experiment`; the file has it.
+        command: Command of ``roboxim``.
+    """
+    name = trainer_name(config, trainer)
+    words = ["roboxim", *command.split(), str(file), *(["--trainer", name] if name else []), "--out", "OUT"]
+    return shlex.join(words)
 
 
 def write_rotated(

@@ -201,6 +201,23 @@ def test_what_nobody_states_about_trainings_elsewhere_is_missed_not_filled_in(tm
     assert card.trainings[0].attest.recipe == {"augment": False, "dropout": 0}
 
 
+def test_the_printed_command_of_a_further_round_names_the_trainer(tmp_path):
+    text = PLANTED_EXPERIMENT.replace(
+        "  mine: ", '  first: {command: "go {dataset} {out} {seed}", policy: bc}\n  mine: '
+    )
+    planted_folder(tmp_path / "run", PLANTED_RATES, text)
+    state = tmp_path / "run/experiment.json"
+    state.write_text(json.dumps(json.loads(state.read_text()) | {"trainer": "mine"}))
+    folder_card(ExperimentFolder.of(tmp_path / "run"))
+    out = tmp_path / "a round.yaml"
+    words = ["experiment", "collect", str(tmp_path / "run/card.json"), "--demonstrations", "9", "--out", str(out)]
+    said = CliRunner().invoke(group, words, catch_exceptions=False).output
+    command = shlex.split(said.splitlines()[-1].partition(": ")[2])
+    assert command == ["roboxim", "experiment", "run", str(out), "--trainer", "mine", "--out", "OUT"]
+    copy = ["experiment", "plan", str(out), "--trainer", "mine", "--no-probe", "--out", str(tmp_path / "copy.yaml")]
+    assert "copy.yaml --trainer mine --out OUT" in CliRunner().invoke(group, copy, catch_exceptions=False).output
+
+
 def test_stored_proofs_and_substitutions_are_part_of_the_card(tmp_path):
     folder = planted_folder(tmp_path / "run", PLANTED_RATES)
     (folder.path / "proofs.json").write_text(json.dumps({"camera pose": [599, 600]}))

@@ -30,7 +30,7 @@ def collect(card: Path, demonstrations: int, condition: str, out: Path) -> None:
     Both arms have the demonstrations of before and N new ones, and at least three trainings. The expert records them.
     """
     from roboxim_eval.experiments.collection import next_round
-    from roboxim_runs.experiments.files import checked_design, write_experiment
+    from roboxim_runs.experiments.files import checked_design, run_words, write_experiment
     from roboxim_runs.experiments.report import stored_card
 
     known = stored_card(card)
@@ -42,4 +42,4 @@ def collect(card: Path, demonstrations: int, condition: str, out: Path) -> None:
     for cell, count in found.success.items():
         rate = f"{count.successes} of {count.episodes}"
         click.echo(f"{cell:<{width}}  {found.chosen[cell]:>13}  {found.even[cell]:>7}  {rate}")
-    click.echo(f"wrote {out}: roboxim experiment run {out} --out OUT")
+    click.echo(f"wrote {out}: {run_words(out, found.config, known.experiment.trainer)}")

@@ -29,12 +29,15 @@ def rotate(name: str, scale: str, trainer: str, sets: int, held_out: int, replic
 
     The sets are disjoint. Each holds out the levels of every factor equally often, and leaves every level to be seen.
     """
-    from roboxim_runs.experiments.files import write_rotated
+    import shlex
+
+    from roboxim_runs.experiments.files import load_experiment, run_words, write_rotated
 
     paths = write_rotated(name, scale, trainer, sets, held_out, replicates, out)
     for path in paths:
         click.echo(f"wrote {path}")
-    click.echo(f"next: ROBOXIM_CONFIG_PATH={out} roboxim benchmark {paths[-1]} --out OUT")
+    run = run_words(paths[-1], load_experiment(str(paths[0])), trainer, "benchmark")
+    click.echo(f"next: ROBOXIM_CONFIG_PATH={shlex.quote(str(out))} {run}")
     click.echo("then: roboxim experiment join OUT/*/card.json")
 
 

@@ -92,6 +92,7 @@ def plan(
         fitted_experiment,
         load_benchmark,
         load_experiment,
+        run_words,
         write_experiment,
         write_mixes,
     )
@@ -140,7 +141,7 @@ def plan(
             click.echo(f"in all: {hours(sum(cost.total_s for cost in costs))}, {disk:.1f} GB")
     if out is not None:
         write_experiment(configs[name], out)
-        click.echo(f"wrote {out}: roboxim experiment run {out} --out OUT", err=as_json)
+        click.echo(f"wrote {out}: {run_words(out, configs[name], trainer)}", err=as_json)
     if write is not None:
         for key, design in designs.items():
             for path in write_mixes(design, write / key if benchmark else write):
