@@ -15,7 +15,7 @@ from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
 from roboxim_core.proprioception import Proprioception
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.learning.augment import augmentation
-from roboxim_policies.learning.checkpoint import load_checkpoint, policy_only
+from roboxim_policies.learning.checkpoint import Checkpoint, load_checkpoint, policy_only
 from roboxim_policies.learning.data import Demonstration, Demonstrations, assemble
 from roboxim_policies.learning.features import GraspMemory, proprio_features, state_features, word_indices
 from roboxim_policies.learning.layers import TargetHead
@@ -149,6 +149,35 @@ def test_another_configuration_or_data_set_is_not_resumed(trained):
         Trainer(data(20), CONFIG, trained[0])
     with pytest.raises(ConfigError, match="exists"):
         Trainer(data(), CONFIG, trained[0], resume=False)
+
+
+def test_every_label_and_picture_belongs_to_the_identity_of_a_training():
+    known = data(6)
+    identity = Checkpoint.identity_of(CONFIG, known)
+    assert Checkpoint.identity_of(replace(CONFIG, checkpoint_every=7), data(6)) == identity
+    others = {0: 1, 1: 0}  # two instructions change places: the same words, the same number of each
+    corrected = np.vectorize(others.get)(known.instruction).astype(known.instruction.dtype)
+    words = np.stack([known.words[np.flatnonzero(known.instruction == number)[0]] for number in corrected])
+    images = {name: pictures.copy() for name, pictures in known.images.items()}
+    images["workspace"][17, 3, 3] += 1
+    for changed in (
+        replace(known, instruction=corrected, words=words), replace(known, images=images),
+        replace(known, instructions=tuple(text.replace("cube", "block") for text in known.instructions)),
+    ):  # fmt: skip
+        assert Checkpoint.identity_of(CONFIG, changed) != identity
+
+
+@pytest.mark.thorough
+def test_a_checkpoint_of_the_earlier_format_acts_and_is_not_continued(trained, tmp_path):
+    with np.load(trained[0] / "checkpoint.npz") as archive:
+        arrays = dict(archive)
+    arrays["said"] = np.array(json.dumps(json.loads(str(arrays["said"])) | {"format": 5}))
+    np.savez(tmp_path / "checkpoint.npz", **arrays)
+    shown = episode(np.random.default_rng(3), "red")
+    policies = LearnedPolicy(trained[0]), LearnedPolicy(tmp_path)
+    assert np.array_equal(*(first_action(policy, shown, shown.instruction) for policy in policies))
+    with pytest.raises(ConfigError, match="its policy acts, and its training cannot be continued.*another output"):
+        Trainer(data(), CONFIG, tmp_path)
 
 
 @pytest.mark.thorough

@@ -11,7 +11,7 @@ import pytest
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ConfigError
-from roboxim_policies.learning.checkpoint import load_checkpoint, policy_only
+from roboxim_policies.learning.checkpoint import Checkpoint, load_checkpoint, policy_only
 from roboxim_policies.learning.data import Reading, _view
 from roboxim_policies.learning.policy import LearnedPolicy
 from roboxim_policies.learning.train import Trainer
@@ -52,8 +52,9 @@ def test_the_policy_has_the_weights_with_the_lowest_held_out_loss_also_after_an_
     judged = whole._held_out.loss
 
     def noted(weights):
-        losses[whole.step] = judged(weights), np.asarray(weights)
-        return losses[whole.step][0] if whole.step != 20 else -1.0  # as if step 20 were best
+        step = whole.step + 1  # the step is done when its comparison is
+        losses[step] = judged(weights), np.asarray(weights)
+        return losses[step][0] if step != 20 else -1.0  # as if step 20 were best
 
     whole._held_out.loss = noted
     whole.run()
@@ -84,6 +85,55 @@ def test_a_training_ends_when_the_held_out_loss_stops_to_fall(reading, tmp_path)
     training.run()
     assert (training.step, training.chosen.step, training.done) == (30, 10, True)
     assert trainer(reading, config, tmp_path).done  # and stays ended
+
+
+@pytest.mark.thorough
+def test_a_training_that_ends_before_the_first_comparison_saves_its_average_not_its_first_weights(reading, tmp_path):
+    config = replace(HELD, steps=20, checkpoint_every=20)
+    trainer(reading, config, tmp_path / "held").run(until=5)
+    whole, held = trainer(reading, config, tmp_path / "whole"), load_checkpoint(tmp_path / "held")
+    assert held.chosen is None
+    assert np.array_equal(held.arrays[-1], held.arrays[-2])
+    assert not np.array_equal(held.arrays[-1], np.asarray(whole._at[0][0])), "the weights as they were drawn"
+    assert LearnedPolicy(tmp_path / "held").version.startswith("step 5, ")
+
+
+@pytest.mark.thorough
+def test_an_interruption_at_a_comparison_loses_no_comparison(reading, tmp_path):
+    straight = trainer(reading, HELD, tmp_path / "straight")
+    straight.run()
+    parts = trainer(reading, HELD, tmp_path / "parts")
+
+    def interrupted(weights):
+        raise KeyboardInterrupt
+
+    parts._held_out.loss = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        parts.run()
+    resumed = trainer(reading, HELD, tmp_path / "parts")
+    resumed.run()
+    assert (resumed.chosen, resumed.chosen.checks) == (straight.chosen, 4)
+    ends = [load_checkpoint(tmp_path / name) for name in ("parts", "straight")]
+    assert all(np.array_equal(a, b) for a, b in zip(*(end.arrays for end in ends), strict=True))
+
+
+@pytest.mark.thorough
+def test_a_held_out_loss_that_is_not_finite_chooses_no_weights(reading, tmp_path):
+    training = trainer(reading, HELD, tmp_path)
+    training.run(until=10)
+    before = (tmp_path / "checkpoint.npz").read_bytes()
+    training._held_out.loss = lambda weights: float("nan")
+    with pytest.raises(ConfigError, match="diverged: the loss or the weights are not finite at step 20"):
+        training.run()
+    assert (tmp_path / "checkpoint.npz").read_bytes() == before
+
+
+def test_held_out_demonstrations_and_their_comparisons_belong_to_the_identity(reading):
+    train, held_out = reading.split(4, seed=0)
+    identity = Checkpoint.identity_of(HELD, train, None, held_out)
+    moved = replace(held_out, actions=held_out.actions + 1)
+    assert Checkpoint.identity_of(HELD, train, None, moved) != identity
+    assert Checkpoint.identity_of(replace(HELD, checkpoint_every=20), train, None, held_out) != identity
 
 
 def test_a_wrong_choice_is_refused(reading, tmp_path):

@@ -107,7 +107,9 @@ class Checkpoint:
     chosen: Chosen | None
     """How the averaged weights were chosen; None: they are the last step's."""
     identity: str
-    """Hash of configuration and data."""
+    """Hash of configuration and data, see `identity_of`."""
+    continues: bool
+    """Whether this version continues its training; it runs the policies of earlier formats, too."""
     digest: str
     """Hash of the averaged weights, 16 hexadecimal digits."""
     arrays: list[npt.NDArray[Any]]
@@ -121,21 +123,31 @@ class Checkpoint:
     """SHA-256 of the whole checkpoint's file, if this one has the averaged weights only; empty: it is whole."""
 
     @staticmethod
-    def identity_of(config: LearningConfig, data: Demonstrations, started_from: Mapping[str, Any] | None = None) -> str:
-        """Return the hash of a training's configuration, data and start, which determine its result."""
+    def identity_of(
+        config: LearningConfig, data: Demonstrations, started_from: Mapping[str, Any] | None = None,
+        held_out: Demonstrations | None = None,
+    ) -> str:  # fmt: skip
+        """Return the hash of a training's configuration, data and start, which determine its result.
+
+        Args:
+            config: Configuration of the training. ``checkpoint_every`` counts only where it determines which weights
+                are compared.
+            data: The training data.
+            started_from: See `Checkpoint.started_from`.
+            held_out: The demonstrations that choose the weights; None: there are none.
+        """
         content = hashlib.blake2b(digest_size=8)
-        for name, images in sorted(data.images.items()):
-            content.update(f"{name}{images.shape}".encode())
-            content.update(np.ascontiguousarray(images[:: max(1, len(images) // 64)]).tobytes())
-        content.update(data.actions.tobytes())
-        content.update(data.proprio.tobytes())
-        content.update(f"{data.vocabulary}{to_json(data.semantics)}".encode())
-        if config.FAMILY != "bc":
-            content.update(f"{config.FAMILY}{data.instructions}".encode())
-            content.update(data.instruction.tobytes())
+        for part in (data, held_out) if held_out else (data,):
+            for name, images in sorted(part.images.items()):
+                content.update(f"{name}{images.shape}".encode())
+                content.update(np.ascontiguousarray(images))
+            content.update(f"{part.vocabulary}{to_json(part.semantics)}{part.instructions}".encode())
+            for array in (part.actions, part.proprio, part.ends, part.words, part.instruction):
+                content.update(np.ascontiguousarray(array))
         if started_from:
             content.update(f"from {started_from['digest']}".encode())
-        return f"{digest(replace(config, checkpoint_every=1))}-{content.hexdigest()}"
+        known = config if config.held_out else replace(config, checkpoint_every=1)
+        return f"{config.FAMILY}-{digest(known)}-{content.hexdigest()}"
 
     def restore(self, state: Any) -> Any:
         """Return a tree of the given structure with the checkpoint's arrays.
@@ -153,7 +165,7 @@ class Checkpoint:
 
 def save_checkpoint(
     path: Path, state: Any, *, step: int, config: LearningConfig, data: Demonstrations, stats: Statistics,
-    chosen: Chosen | None = None, started_from: Mapping[str, Any] | None = None,
+    identity: str, chosen: Chosen | None = None, started_from: Mapping[str, Any] | None = None,
 ) -> None:  # fmt: skip
     """Write a checkpoint to a temporary file and rename it, so that ``path`` is always complete.
 
@@ -165,6 +177,7 @@ def save_checkpoint(
         config: Configuration of the training.
         data: The training data.
         stats: Normalisation of the data.
+        identity: See `Checkpoint.identity_of`.
         chosen: How the last array of the state was chosen; None: it is the average after ``step``.
         started_from: See `Checkpoint.started_from`.
 
@@ -189,7 +202,7 @@ def save_checkpoint(
         "robot": data.robot,
         **({"camera_views": to_plain(data.camera_views)} if data.camera_views else {}),
         "state_layout": list(STATE_NAMES),
-        "identity": Checkpoint.identity_of(config, data, started_from),
+        "identity": identity,
         "digest": _digest(arrays[-1]),
         "episodes": data.episodes,
     }
@@ -268,6 +281,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         robot=description.get("robot", ""),
         chosen=Chosen(**description["chosen"]) if "chosen" in description else None,
         identity=description["identity"],
+        continues=description["format"] == FORMAT,
         digest=description["digest"],
         arrays=arrays,
         started_from=description.get("started_from", {}),

@@ -13,9 +13,12 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import parse_json
 from roboxim_core.proprioception import STATE_NAMES
 
-FORMAT = 5
+FORMAT = 6
 """1: proprioception with a quaternion, 8 numbers; 2: with ``state_layout``, see `roboxim_core.proprioception`; 3: the
-network with a memory of the grasp; 4: a grasp begins with the command to close; 5: the memory of a failed grasp."""
+network with a memory of the grasp; 4: a grasp begins with the command to close; 5: the memory of a failed grasp; 6: the
+identity of a training includes every label and picture."""
+ACTING = (5, FORMAT)
+"""Formats whose policies act."""
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 """Exceptions that reading a damaged checkpoint raises."""
 
@@ -82,8 +85,10 @@ def read_description(path: Path) -> dict[str, Any]:
             f"{file} holds the earlier network, which had no memory of the grasp; this version cannot run it: "
             "train again on the same dataset"
         )
-    if description.get("format") != FORMAT:
-        raise ConfigError(f"{file} has format {description.get('format')}, this version reads {FORMAT}; train it again")
+    if description.get("format") not in ACTING:
+        raise ConfigError(
+            f"{file} has format {description.get('format')}, this version reads {ACTING[0]} to {FORMAT}; train it again"
+        )
     if tuple(description.get("state_layout", ())) != STATE_NAMES:
         raise ConfigError(
             f"{file} was trained on proprioception {description.get('state_layout')}, this version has "

@@ -108,7 +108,10 @@ class Trainer:
         self.path = out / CHECKPOINT
         self.cameras = tuple(sorted(data.images))
         self.stats = statistics(data)
+        if bool(config.held_out) != bool(held_out):
+            raise ConfigError(f"held_out is {config.held_out}, and there are {'' if held_out else 'no '}such episodes")
         self._started_from = record_of(start) if start else {}
+        self._identity = Checkpoint.identity_of(config, data, self._started_from, held_out)
         if start:
             require_start(start, config, data)
             self.stats = carried_statistics(start, self.stats)
@@ -123,20 +126,24 @@ class Trainer:
         self._supply = Supply(data, config, progress=encoding)
         self._samples = self._supply.samples(self.stats)
         self._held_out = HeldOut(held_out, config, self.stats, self.cameras) if held_out else None
-        if bool(config.held_out) != bool(held_out):
-            raise ConfigError(f"held_out is {config.held_out}, and there are {'' if held_out else 'no '}such episodes")
         self._update = _compiled_update(config.FAMILY, to_json(config), self.cameras, len(data.vocabulary))
 
     def _resume(self, resume: bool) -> None:
         if not resume:
             raise ConfigError(f"{self.path} exists; resume it or choose another folder")
         found = load_checkpoint(self.path)
-        if found.identity != self._identity():
-            changes = differences(to_plain(found.config), to_plain(self.config), ignore=("checkpoint_every",))
+        if not found.continues:
+            raise ConfigError(
+                f"an earlier version of RoboXim wrote {self.path}: its policy acts, and its training cannot be "
+                "continued. To train again, choose another output folder (--out or out=)"
+            )
+        if found.identity != self._identity:
+            ignored = () if self.config.held_out else ("checkpoint_every",)
+            changes = differences(to_plain(found.config), to_plain(self.config), ignore=ignored)
             other = [f"another configuration ({changes})"] if changes else []
             if found.started_from.get("digest") != self._started_from.get("digest"):
                 other.append("another start (--from)")
-            elif found.identity.rpartition("-")[2] != self._identity().rpartition("-")[2]:
+            elif found.identity.rpartition("-")[2] != self._identity.rpartition("-")[2]:
                 other.append("another dataset")
             raise ConfigError(
                 f"{self.path} is of {' and '.join(other) or 'another version of RoboXim'}; "
@@ -167,9 +174,6 @@ class Trainer:
         """Number of completed steps."""
         return self._at[1]
 
-    def _identity(self) -> str:
-        return Checkpoint.identity_of(self.config, self.data, self._started_from)
-
     def run(self, progress: Callable[[TrainProgress], None] = lambda report: None, *, until: int = 0) -> Path:
         """Train to the end; on any exception (Ctrl-C included) save a checkpoint first.
 
@@ -189,20 +193,20 @@ class Trainer:
         recent: list[dict[str, Array]] = []
         try:
             while self.step < last and not self.done:
-                parts = self._one_step()
+                step = self.step + 1
+                due = step % self.config.checkpoint_every == 0 or step == self.config.steps
+                parts = self._one_step(choose=due)
                 if self.step == begun + 1:  # the first step compiles
                     parts["loss"].block_until_ready()
                     started, first = time.monotonic(), self.step
                 recent.append(parts)
-                due = self.step % self.config.checkpoint_every == 0 or self.step == self.config.steps
                 if due or self.step % 10 == 0 or self.step == last:
                     report = self._report(recent, time.monotonic() - started, self.step - first)
                     if not math.isfinite(report.loss):
-                        raise self._diverged()
+                        raise self._diverged(self.step)
                     progress(report)
                     recent.clear()
                 if due:
-                    self._choose()
                     self.save()
         except ConfigError:
             raise
@@ -212,35 +216,37 @@ class Trainer:
         self.save()
         return self.path
 
-    def _diverged(self) -> ConfigError:
+    def _diverged(self, step: int) -> ConfigError:
         begun = f"{self.path} is as it was after an earlier step" if self.path.exists() else "no checkpoint was written"
         return ConfigError(
-            f"the training has diverged: the loss is not finite at step {self.step}; {begun}. Train again with a "
-            f"learning_rate below {self.config.learning_rate:g}, in another output folder"
+            f"the training has diverged: the loss or the weights are not finite at step {step}; {begun}. Train again "
+            f"with a learning_rate below {self.config.learning_rate:g}, in another output folder"
         )
 
-    def _one_step(self) -> dict[str, Array]:
+    def _one_step(self, *, choose: bool) -> dict[str, Array]:
+        """Do a step, with the comparison that belongs to it: an interruption loses both or none."""
         parts: dict[str, Array]
         (*state, averaged), step, chosen = self._at
         kept = [averaged] if self.config.held_out else []
         state = state if kept else [*state, averaged]
         batch, draws = self._supply.batch(step)
         state, parts = self._update(tuple(state), self._samples, batch, draws, jnp.asarray(step))
-        self._at = (*state, *kept), step + 1, chosen
+        at = (*state, *kept), step + 1, chosen
+        self._at = self._compared(*at) if choose else at
         return parts
 
-    def _choose(self) -> None:
+    def _compared(self, state: tuple[Any, ...], step: int, before: Chosen | None) -> tuple[Any, int, Chosen | None]:
         """Take the present average as the policy's weights, if its loss on the held-out demonstrations is lowest."""
         if self._held_out is None:
-            return
-        state, step, before = self._at
+            return state, step, before
         loss = self._held_out.loss(state[2])
+        if not math.isfinite(loss):
+            raise self._diverged(step)
         checks = before.checks + 1 if before else 1
         if before and before.loss <= loss:
-            self._at = state, step, replace(before, checks=checks, since=before.since + 1)
-        else:
-            now = Chosen(step=step, loss=loss, held_out=self._held_out.episodes, checks=checks, since=0)
-            self._at = (*state[:3], state[2]), step, now
+            return state, step, replace(before, checks=checks, since=before.since + 1)
+        now = Chosen(step=step, loss=loss, held_out=self._held_out.episodes, checks=checks, since=0)
+        return (*state[:3], state[2]), step, now
 
     def first_batch(self, count: int) -> dict[str, tuple[npt.NDArray[np.float32], Array]]:
         """Return pictures of the first step's samples: as recorded, and as that step shows them to the network.
@@ -269,12 +275,19 @@ class Trainer:
         )  # fmt: skip
 
     def save(self) -> None:
-        """Write the checkpoint."""
+        """Write the checkpoint. Before the first comparison on held-out demonstrations, the policy has the average.
+
+        Raises:
+            ConfigError: When the weights are not finite; the checkpoint stays what it was.
+        """
         state, step, chosen = self._at
+        state = state if chosen else (*state[:2], *[state[2]] * (len(state) - 2))
+        if not jnp.isfinite(state[2]).all():
+            raise self._diverged(step)
         self.out.mkdir(parents=True, exist_ok=True)
         save_checkpoint(
             self.path, state, step=step, config=self.config, data=self.data, stats=self.stats, chosen=chosen,
-            started_from=self._started_from,
+            identity=self._identity, started_from=self._started_from,
         )  # fmt: skip
 
 
