@@ -169,7 +169,8 @@ class BasePolicy(ABC):
     def act_batch(cls, policies: Sequence[Self], windows: Sequence[ObservationWindow]) -> Sequence[Any]:
         """Return the next actions of several episodes. A policy that computes them together overrides this.
 
-        Only a process that serves the policy to several simulators calls it (``--policy-servers``).
+        Only a process that serves the policy to several simulators calls it (``--policy-servers``). When it raises, it
+        is called again for each episode alone, so change no episode's state before the answers are computed.
 
         Args:
             policies: One for each episode: the policy itself, or what `another` returned.

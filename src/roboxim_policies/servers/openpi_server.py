@@ -76,7 +76,11 @@ class Model(ABC):
 
     @abstractmethod
     def act(self, requests: list) -> list:
-        """Return a pair (reply, new state) for each pair (request, state)."""
+        """Return a pair (reply, new state) for each pair (request, state).
+
+        A reply is a map of arrays by key, or the array of the actions alone. When it raises for several requests, it is
+        called again for each alone.
+        """
 
 
 def encode(message: Any) -> bytes:
@@ -166,6 +170,7 @@ class Worker:
         self._model = model
         self._waiting: queue.Queue = queue.Queue()
         self._thread = threading.Thread(target=self._run, name="model", daemon=True)
+        self._has_ended = False
         self.largest = 0
         """Largest number of requests that were answered at once."""
 
@@ -196,7 +201,16 @@ class Worker:
     def _asked(self, kind: str, value: Any) -> Any:
         future: Future = Future()
         self._waiting.put((kind, value, future))
+        if self._has_ended:
+            self._refuse_waiting()
         return future.result()
+
+    def _refuse_waiting(self) -> None:
+        with contextlib.suppress(queue.Empty):
+            while True:
+                entry = self._waiting.get_nowait()
+                if entry is not None:
+                    entry[2].set_exception(RuntimeError("the server stops"))
 
     def _run(self) -> None:
         ended = False
@@ -215,14 +229,18 @@ class Worker:
             ended = entry is None
             if entry is not None and entry[0] == "begin":
                 _resolve(entry[2], lambda seed=entry[1]: self._model.begin(seed))
+        self._has_ended = True
+        self._refuse_waiting()
 
     def _answer(self, batch: list) -> None:
         if not batch:
             return
         self.largest = max(self.largest, len(batch))
         try:
-            found = self._model.act([request for request, _ in batch])
-        except Exception as error:
+            found = [_pair(answer) for answer in self._model.act([request for request, _ in batch])]
+            if len(found) != len(batch):
+                raise RuntimeError(f"the model must answer each of {len(batch)} requests, it answered {len(found)}")
+        except BaseException as error:  # a model may raise anything, and its clients wait
             if len(batch) == 1:
                 batch[0][1].set_exception(error)
                 return
@@ -233,10 +251,19 @@ class Worker:
             future.set_result(answer)
 
 
+def _pair(answer: Any) -> tuple:
+    """Return a model's answer to one request as (reply, new state); an array is the actions."""
+    if not isinstance(answer, (tuple, list)) or len(answer) != 2:
+        kind = type(answer).__name__
+        raise RuntimeError(f"the model must answer each request with a pair (reply, new state), it gave a {kind}")
+    reply, state = answer
+    return reply if isinstance(reply, dict) else {"actions": reply}, state
+
+
 def _resolve(future: Future, call: Any) -> None:
     try:
         future.set_result(call())
-    except Exception as error:
+    except BaseException as error:
         future.set_exception(error)
 
 
@@ -417,7 +444,7 @@ class Server:
                     self.model.check(request)
                     answer, state = self.worker.act(request, state)
                     reply = encode(answer)
-            except Exception as error:  # a model may raise anything
+            except (Exception, SystemExit) as error:  # a model may raise anything
                 if not self._quiet:
                     sys.stderr.write(traceback.format_exc())
                 connection.send(f"{type(error).__name__}: {error}"[:2000])

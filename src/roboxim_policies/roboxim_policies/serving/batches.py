@@ -91,21 +91,25 @@ class Batcher:
     def _run(self) -> None:
         while batch := self._next():
             began = time.monotonic()
-            try:
-                answers = self._kind.act_batch([r.policy for r in batch], [r.window for r in batch])
-                self._give(batch, list(answers))
-            except BaseException as error:  # a policy may raise anything, and its callers wait
-                for request in batch:
-                    if not request.answer.done():
-                        request.answer.set_exception(error)
+            self._answer(batch)
             self._took_s = time.monotonic() - began
 
-    def _give(self, batch: Sequence[_Request], answers: Sequence[Any]) -> None:
-        if len(answers) != len(batch):
-            raise PolicyError(
-                f"act_batch of {self._kind.__name__} must return one answer for each of the {len(batch)} requests, "
-                f"got {len(answers)}"
-            )
+    def _answer(self, batch: Sequence[_Request]) -> None:
+        """Give each request its answer; after an error ask for each alone, so that only the wrong one fails."""
+        try:
+            answers = list(self._kind.act_batch([r.policy for r in batch], [r.window for r in batch]))
+            if len(answers) != len(batch):
+                raise PolicyError(
+                    f"act_batch of {self._kind.__name__} must return one answer for each of the {len(batch)} requests, "
+                    f"got {len(answers)}"
+                )
+        except BaseException as error:  # a policy may raise anything, and its callers wait
+            if len(batch) == 1:
+                batch[0].answer.set_exception(error)
+                return
+            for request in batch:
+                self._answer([request])
+            return
         self.sizes = [*self.sizes[-99:], len(batch)]
         for request, answer in zip(batch, answers, strict=True):
             request.answer.set_result(answer)

@@ -257,6 +257,43 @@ def test_a_model_that_raises_in_a_batch_costs_only_its_own_request():
         assert futures[2].result(60)[0]["actions"].shape == (1, 7)
 
 
+@pytest.mark.parametrize(
+    ("answers", "words"),
+    [
+        (lambda asked: [], "must answer each of 1 requests, it answered 0"),
+        (lambda asked: None, "NoneType"),
+        (lambda asked: [np.zeros((1, 7))] * len(asked), "a pair .reply, new state., it gave a ndarray"),
+        (lambda asked: sys.exit("no weights"), "SystemExit: no weights"),
+        (lambda asked: [({"actions": object()}, None)], "type object cannot be sent"),
+    ],
+)
+def test_a_malformed_answer_of_a_model_costs_its_connection_and_hangs_no_client(answers, words):
+    class Malformed(openpi_server.Model):
+        def act(self, asked):
+            if asked[0][0]["prompt"] == "bad":
+                return answers(asked)
+            return [(np.full((1, 7), 0.5, np.float32), None) for _ in asked]  # an array is the actions
+
+    with served(Malformed()) as server:
+        wires = [OpenPiWire(server.url, timeout_s=30.0, reconnect_s=0.0) for _ in range(2)]
+        for wire in wires:
+            wire.connect()
+            wire.reset(EpisodeStart(episode_id="e", instruction="x", seed=0))
+        with pytest.raises(PolicyError, match=words):
+            wires[0].ask({"prompt": "bad"})
+        np.testing.assert_array_equal(wires[1].ask({"prompt": "good"})["actions"], np.full((1, 7), 0.5))
+        for wire in wires:
+            wire.close()
+
+
+def test_a_request_to_a_server_that_stops_is_refused():
+    worker = openpi_server.Worker(openpi_server.Model.__new__(type("M", (openpi_server.Model,), {"act": list})))
+    with worker:
+        pass
+    with pytest.raises(RuntimeError, match="the server stops"):
+        worker.begin(0)
+
+
 def run(script, *arguments, environment=None, python=sys.executable):
     clean = {key: value for key, value in os.environ.items() if not key.startswith(("OCTO_", "RT1_"))}
     return subprocess.run(

@@ -14,6 +14,7 @@ from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_policies import BasePolicy
 from roboxim_policies.reworded import RewordedPolicy
 from roboxim_policies.served import ServedPolicy
+from roboxim_policies.serving.batches import Batcher, _Request
 from roboxim_policies.serving.shared import SharedServer, SharedSessions
 
 from test_serving import Looking, run, windows  # isort: skip
@@ -118,6 +119,29 @@ class Failing(Batching):
     @classmethod
     def act_batch(cls, policies, windows):
         raise RuntimeError("no memory")
+
+
+class Fussy(Batching):
+    """Fails for the episode of seed 1, and waits until all simulators have asked."""
+
+    @classmethod
+    def act_batch(cls, policies, windows):
+        if any(policy.seed == 1 for policy in policies):
+            raise RuntimeError("not this one")
+        return super().act_batch(policies, windows)
+
+
+def test_a_request_that_fails_in_a_batch_costs_only_its_own_episode():
+    Fussy.sizes = []
+    batcher = Batcher(Fussy)
+    requests = [_Request(Fussy(), window) for window in windows(3)]
+    for seed, request in enumerate(requests):
+        request.policy.reset(start(seed=seed))
+    batcher._answer(requests)
+    batcher.close()
+    assert [request.answer.exception() is None for request in requests] == [True, False, True]
+    assert str(requests[1].answer.exception()) == "not this one"
+    assert requests[2].answer.result()[0] == pytest.approx(0.002, abs=1e-3)
 
 
 class Miscounting(Batching):
