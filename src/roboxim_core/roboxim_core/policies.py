@@ -155,6 +155,9 @@ class ObservationWindow:
     """Episode."""
     seq: int
     """Tick of the newest observation."""
+    commanded_opening: float | None = None
+    """Opening of the gripper that the last executed action commands, 1 = open, 0 = closed: what execution made of the
+    answers, which may be late, cut or averaged. None: nothing was executed yet, or the caller does not know."""
 
     @property
     def newest(self) -> Observation:

@@ -7,6 +7,7 @@ Anything other than a chunk of finite numbers of the declared size is ``INVALID_
 
 from __future__ import annotations
 
+import math
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -179,6 +180,11 @@ class GuardedPolicy:
             raise InvalidRequestError(
                 f"a window needs at least one observation and a pad mask of the same length, got "
                 f"{len(window.observations)} and {len(window.pad_mask)}"
+            )
+        opening: Any = window.commanded_opening
+        if opening is not None and not (isinstance(opening, int | float) and math.isfinite(opening)):
+            raise InvalidRequestError(
+                f"commanded_opening must be a finite number or none, got {printable(opening, 100, form=repr)}"
             )
         if self.description.privileged and window.newest.state is None:
             raise InvalidRequestError(f"{self._label} is privileged: its observations need the state record")

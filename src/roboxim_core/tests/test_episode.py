@@ -195,6 +195,28 @@ def test_latency_holds_until_the_first_answer_and_is_named_in_the_result():
     assert [window.seq for window in actor.windows] == list(range(6)), "the policy is asked at every tick"
 
 
+class Gripping(World):
+    """Its robot states the opening that it was commanded to."""
+
+    def tick(self, episode_id, seq, action):
+        state = super().tick(episode_id, seq, action)
+        return replace(state, robot=replace(ROBOT, gripper_command=float(action[-1])))
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"execute": 1}, {"ensemble": "mean"}, {"execute": 2, "latency_ticks": 1}, {"latency_ticks": 3}]
+)
+def test_a_request_names_the_gripper_command_that_was_executed_before_it(changes):
+    """Whatever was executed of the answers: cut, averaged or late."""
+    world, rng = Gripping(goal=100.0), np.random.default_rng(0)
+    actor = Actor(act=lambda window: np.column_stack([np.zeros((4, 6)), rng.uniform(size=4)]), horizon=4)
+    run(world, actor, max_steps=12, **changes).run_index(0)
+    assert [window.commanded_opening for window in actor.windows] == [
+        None if window.seq == 0 else world.executed[window.seq - 1][-1] for window in actor.windows
+    ]
+    assert len(actor.windows) > 2
+
+
 def test_in_real_time_the_world_goes_on_while_the_policy_thinks():
     world, clock = World(goal=100.0), [0.0]
 

@@ -296,6 +296,7 @@ def own_extras(window: ObservationWindow) -> dict[str, Any]:
         "seq": window.seq,
         "episode_id": window.episode_id,
         "pad_mask": list(window.pad_mask),
+        "commanded_opening": window.commanded_opening,
         "observations": [
             {"seq": item.seq, "stamp_ns": item.stamp_ns, "proprio": to_plain(item.proprio)}
             for item in window.observations

@@ -128,7 +128,7 @@ def poisoned(trainer: Trainer) -> Trainer:
 def test_a_training_that_diverges_says_so_and_keeps_the_checkpoint_before(tmp_path):
     checkpoint = Trainer(data(), CONFIG, tmp_path / "old").run(until=4)
     before = checkpoint.read_bytes()
-    said = "has diverged: the loss or the weights are not finite at step 10; .* is as it was after an earlier step.*below 0.003"
+    said = "has diverged: the loss or .* not finite at step 10; .* is as it was after an earlier step.*below 0.003"
     with pytest.raises(ConfigError, match=said):
         poisoned(Trainer(data(), CONFIG, tmp_path / "old")).run()
     assert checkpoint.read_bytes() == before

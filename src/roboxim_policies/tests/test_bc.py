@@ -17,7 +17,7 @@ from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.learning.augment import augmentation
 from roboxim_policies.learning.checkpoint import Checkpoint, load_checkpoint, policy_only
 from roboxim_policies.learning.data import Demonstration, Demonstrations, assemble
-from roboxim_policies.learning.features import GraspMemory, proprio_features, state_features, word_indices
+from roboxim_policies.learning.features import PROPRIO_SIZE, GraspMemory, proprio_features, state_features, word_indices
 from roboxim_policies.learning.layers import TargetHead
 from roboxim_policies.learning.points import PointEncoder
 from roboxim_policies.learning.policy import LearnedPolicy
@@ -376,6 +376,29 @@ def test_training_and_policy_compute_the_same_memory():
         for proprio, actions in episodes
     ]
     assert features == pytest.approx(np.concatenate(remembered), abs=1e-5)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("executed", "grasped"), [(None, True), (0.0, True), (1.0, False), (0.5, False)])
+def test_the_memory_follows_the_command_that_was_executed_not_the_one_that_was_answered(tmp_path, executed, grasped):
+    policy = LearnedPolicy(Trainer(assembled(held_episode()), BCConfig(steps=1, channels=8, hidden=8), tmp_path).save())
+    predict, states = policy._predict, []
+
+    def closing(weights, inputs):
+        states.append(np.asarray(inputs.state[0]))
+        return eqx.tree_at(lambda p: p.closed, predict(weights, inputs), jnp.ones((1, 8)))
+
+    policy._predict = closing
+    policy.reset(EpisodeStart(episode_id="e", instruction="x", seed=0))
+    for seq, opening in ((0, None), (4, executed)):
+        seen = Observation(seq=seq, stamp_ns=0, images={"wrist": np.zeros((16, 16, 3), np.uint8)})
+        window = ObservationWindow(
+            instruction="x", observations=[seen], pad_mask=(True,), episode_id="e", seq=seq, commanded_opening=opening
+        )
+        policy.act(window)
+    stats = policy._loaded.stats
+    held = states[1][PROPRIO_SIZE] * stats.state_scale[PROPRIO_SIZE] + stats.state_mean[PROPRIO_SIZE]
+    assert (held > 0.5) == grasped
 
 
 @pytest.mark.thorough

@@ -106,7 +106,7 @@ class _Window:
     def add(self, observation: Observation) -> None:
         self._items.append(observation)
 
-    def request(self, info: EpisodeInfo) -> ObservationWindow:
+    def request(self, info: EpisodeInfo, commanded_opening: float | None = None) -> ObservationWindow:
         missing = self._size - len(self._items)
         return ObservationWindow(
             instruction=info.task.instruction,
@@ -114,6 +114,7 @@ class _Window:
             pad_mask=(False,) * missing + (True,) * len(self._items),
             episode_id=info.episode_id,
             seq=self._items[-1].seq,
+            commanded_opening=commanded_opening,
         )
 
 
@@ -382,7 +383,8 @@ class _Episode:
 
     def _request_chunk(self) -> Generator[Request, ActionChunk | None, None]:
         before = self.ports.clock()
-        chunk = yield self.window.request(self.info)
+        commanded = self.state.robot.gripper_command if self.counts["steps"] else None
+        chunk = yield self.window.request(self.info, commanded)
         self.last_inference_s = self.ports.clock() - before
         self.inference_s += self.last_inference_s
         answer = checked_answer(chunk, self.description)

@@ -99,13 +99,15 @@ class LearnedPolicy(BasePolicy):
     def act(self, window: ObservationWindow) -> ActionArray:
         """Return the next ``execute`` actions."""
         newest = window.newest
+        if window.commanded_opening is not None:
+            self._memory.commanded(window.commanded_opening < CLOSED_BELOW)
         prediction = self._infer(newest.images, newest.proprio.vector())
         actions = np.zeros((self.horizon, 7), np.float32)
         actions[:, :6] = np.asarray(prediction.motion[-1, : self.horizon]) * self._loaded.stats.motion_scale
         opening = np.clip(np.asarray(prediction.opening[-1, : self.horizon]), CLOSED_BELOW, 1.0)
         closed = np.asarray(prediction.closed[-1, : self.horizon]) > 0
         actions[:, 6] = np.where(closed, 0.0, opening)
-        self._memory.commanded(bool(closed[-1]))
+        self._memory.commanded(bool(closed[-1]))  # unless the next request knows what was executed
         return actions
 
     def _begin(self, instruction: str) -> None:

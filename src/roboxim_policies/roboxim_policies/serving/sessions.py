@@ -21,6 +21,7 @@ from roboxim_core.config import from_plain
 from roboxim_core.conventions import (
     ActionOutput,
     Chunking,
+    ControllerResponse,
     Convention,
     GripperOutput,
     ImageInput,
@@ -83,6 +84,7 @@ def own_convention(description: PolicyDescription, size: int = 256) -> Conventio
             control=meaning.control, frame=meaning.frame, rotation=meaning.rotation, delta_base=meaning.delta_base,
             max_translation_m=meaning.max_translation_m, max_rotation_rad=meaning.max_rotation_rad,
             gripper=_gripper_of(description.gripper),
+            response=ControllerResponse(gain=(1.0,) * 6, lag=description.lag) if description.lag else None,
         ),
         chunking=Chunking(horizon=description.horizon, **_execution_of(description)),
     )  # fmt: skip
@@ -202,6 +204,7 @@ class Session:
         self._plan: ActionPlan | None = None
         self._switch: GripperSwitch | None = None
         self._last: Floats | None = None
+        self._commanded: float | None = None
 
     def begin(self, instruction: str = "", *, episode_id: str = "", seed: int = 0) -> None:
         """Announce an episode; it begins with the next request.
@@ -258,6 +261,7 @@ class Session:
         self._guard.reset(EpisodeStart(episode_id=named, instruction=self._instruction, seed=seed))
         self._episode, self._prompt = named, prompt
         description = self._guard.description
+        self._commanded = None
         self._plan = ActionPlan(description.chunking, description.semantics)
         self._switch = None if self._own else GripperSwitch(description.gripper, measured.gripper_opening)
 
@@ -277,9 +281,11 @@ class Session:
         planned = self._plan.action(window.seq)
         assert planned is not None
         row = np.array(planned.action, dtype=float)
+        polarity = self._guard.description.semantics.gripper
+        self._commanded = polarity.opening(float(row[-1]))
         if self._switch is not None:
-            polarity = self._guard.description.semantics.gripper
-            row[-1] = polarity.number(self._switch.step(polarity.opening(float(row[-1]))))
+            self._commanded = self._switch.step(self._commanded)
+            row[-1] = polarity.number(self._commanded)
         return row[None]
 
     def _measured(self, request: Mapping[str, Any], own: Mapping[str, Any] | None) -> list[Proprioception]:
@@ -312,7 +318,7 @@ class Session:
         ]  # fmt: skip
         return ObservationWindow(
             instruction=self._instruction, observations=observations, pad_mask=mask, episode_id=self._episode,
-            seq=self._seq,
+            seq=self._seq, commanded_opening=self._commanded if own is None else own.get("commanded_opening"),
         )  # fmt: skip
 
     def _pictures(self, image: ImageInput, request: Mapping[str, Any]) -> list[np.ndarray[Any, Any]]:

@@ -172,6 +172,7 @@ def window_of(request: Mapping[str, Any]) -> ObservationWindow:
         instruction=request["prompt"], observations=observations,
         pad_mask=tuple(bool(real) for real in own.get("pad_mask", ())),
         episode_id=str(own.get("episode_id", "")), seq=int(own.get("seq", 0)),
+        commanded_opening=own.get("commanded_opening"),
     )  # fmt: skip
 
 

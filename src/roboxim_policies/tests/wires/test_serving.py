@@ -15,6 +15,7 @@ from roboxim_core.actions import (
     Ensemble,
     GripperRule,
     GripperSwitch,
+    LateRows,
     hold_action,
 )
 from roboxim_core.conventions import load_convention, observe
@@ -132,6 +133,54 @@ def executed(policy, seed, ticks=9):
         action[6] = switch.step(float(action[6]))
         actions.append(action)
     return np.stack(actions)
+
+
+class Lagging(Looking):
+    """Was trained with an arm that lags, and executes late answers from their own tick on."""
+
+    semantics = ActionSemantics()
+    lag = (0.1, 0.2, 0.3, 0.0, 0.0, 0.5)
+    chunking = Chunking(execute=2, late_rows=LateRows.DROP)
+
+
+def test_a_served_policy_keeps_its_lag_and_its_use_of_late_answers():
+    with served(Lagging) as remote:
+        assert (remote.describe().lag, remote.describe().chunking) == (Lagging.lag, Lagging.chunking)
+        assert run(remote).tobytes() == run(Lagging()).tobytes()
+
+
+class Commanded(Looking):
+    """Moves up by the gripper command that was executed before, and closes a little more with each answer."""
+
+    semantics = ActionSemantics()
+    horizon = 1
+
+    def reset(self, start):
+        self.rows = iter(np.linspace(0.9, 0.1, 9))
+
+    def act(self, window):
+        assert window.commanded_opening is None or 0 <= window.commanded_opening <= 1
+        return [0.0, 0.0, 0.01 * (window.commanded_opening or 0.0), 0.0, 0.0, 0.0, next(self.rows)]
+
+
+@pytest.mark.parametrize("wire", ["openpi", "vla_eval", "openvla"])
+def test_a_served_policy_is_told_the_gripper_command_that_was_executed(wire):
+    with (
+        policy_server(Commanded, wire, port=0, size=64) as server,
+        load_policy(wire, url=server.url, convention="server", version="1") as remote,
+    ):
+        remote.reset(EpisodeStart(episode_id="e", instruction="Pick up the red cube", seed=0))
+        told = (None, 0.25, 0.75)
+        rows = [remote.act(replace(w, commanded_opening=o))[0] for w, o in zip(windows(3), told, strict=True)]
+        assert [row[2] for row in rows] == pytest.approx([0.0, 0.0025, 0.0075])
+
+
+def test_a_client_that_takes_one_action_at_each_tick_need_not_tell_what_it_executed():
+    sessions = Sessions(Commanded, single=True, size=64)
+    with sessions.session() as session:
+        requests = [observe(sessions.convention, window) for window in windows(3)]
+        rows = [session.answer(request)[0] for request in requests]
+    assert [row[2] for row in rows] == pytest.approx([0.0, 0.009, 0.008])
 
 
 @pytest.mark.parametrize("wire", ["openpi", "vla_eval", "openvla"])
