@@ -12,7 +12,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
@@ -90,8 +90,11 @@ def _type_mismatches(kind: Any, value: Any, path: tuple[Any, ...]) -> Iterator[t
         kind, arms = arms[0], list(get_args(arms[0]))
     origin, given = get_origin(kind), "nothing" if value is None else repr(value)
     if origin in (tuple, list):
-        if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
+        if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
             yield path, f"expected a list, got {given}"
+            return
+        if origin is tuple and Ellipsis not in arms and isinstance(value, Sized) and len(value) != len(arms):
+            yield path, f"expected {len(arms)} values, got {len(value)}"
             return
         kinds = arms if origin is tuple and Ellipsis not in arms else itertools.repeat(arms[0])
         if any(get_origin(arm) is not None for arm in arms):

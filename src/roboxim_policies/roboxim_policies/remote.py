@@ -18,7 +18,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from roboxim_core.config import from_json, from_plain, to_json, to_plain
+from roboxim_core.config import from_json, from_plain, to_json
 from roboxim_core.conventions import (
     Convention,
     decode_actions,
@@ -36,6 +36,7 @@ from roboxim_policies.fitting import misfits
 from roboxim_policies.wires import Metadata, Wire, find_wire
 from roboxim_policies.wires.base import RECONNECT_S, TIMEOUT_S
 from roboxim_policies.wires.openpi import OWN_SERVER
+from roboxim_policies.wires.own import own_extras
 
 SERVERS_OWN = "server"
 """Name of a convention that the server itself declares; RoboXim's own servers do."""
@@ -288,20 +289,6 @@ def declared_convention(wire: Wire) -> Convention:
         return from_plain(declared, Convention, source=f"the convention that {wire.server} declares")
     except ConfigError as error:
         raise PolicyError(str(error)) from None
-
-
-def own_extras(window: ObservationWindow) -> dict[str, Any]:
-    """Return what RoboXim's own server receives beside the convention's request: the observations, without pictures."""
-    return {
-        "seq": window.seq,
-        "episode_id": window.episode_id,
-        "pad_mask": list(window.pad_mask),
-        "commanded_opening": window.commanded_opening,
-        "observations": [
-            {"seq": item.seq, "stamp_ns": item.stamp_ns, "proprio": to_plain(item.proprio)}
-            for item in window.observations
-        ],
-    }
 
 
 def probe_window(convention: Convention) -> ObservationWindow:

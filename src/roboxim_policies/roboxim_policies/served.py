@@ -14,10 +14,10 @@ import numpy as np
 from roboxim_core.config import from_plain
 from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, PolicyDescription
 from roboxim_policies.base import BasePolicy
-from roboxim_policies.remote import own_extras
 from roboxim_policies.serving.shared import IMAGES
 from roboxim_policies.wires.base import Answer
 from roboxim_policies.wires.openpi import OWN_SERVER, OpenPiWire
+from roboxim_policies.wires.own import own_extras
 
 RECONNECT_S = 2.0
 """Time in which a refused connection is tried again [s]; the run finds the server's new address afterwards."""

@@ -34,7 +34,10 @@ COLORS = {"red": (220, 30, 30), "blue": (30, 30, 220)}
 
 
 def episode(rng: np.random.Generator, color: str, steps: int = 8) -> Demonstration:
-    """Return an episode: images with a square per colour, actions along x to the named one, then a closing gripper."""
+    """Return an episode: images with a square per colour, actions along x to the named one, then a closing gripper.
+
+    Nothing but the words and the picture tells the direction: the measured arm moves along y, in all episodes alike.
+    """
     places = dict(zip(COLORS, rng.permutation([4, 22]), strict=True))
     picture = np.full((32, 32, 3), 128, np.uint8)
     for name, column in places.items():
@@ -46,8 +49,8 @@ def episode(rng: np.random.Generator, color: str, steps: int = 8) -> Demonstrati
     actions[:, 6] = np.arange(steps) < steps - 2
     proprio = np.stack(
         [
-            Proprioception(tcp_position=(0.5 + x, 0.0, 0.0), gripper_opening=opening).vector()
-            for x, opening in zip(np.cumsum(actions[:, 0]).tolist(), actions[:, 6].tolist(), strict=True)
+            Proprioception(tcp_position=(0.5, 0.02 * step, 0.0), gripper_opening=opening).vector()
+            for step, opening in enumerate(actions[:, 6].tolist())
         ]
     )
     images = {"workspace": np.stack([picture] * steps), "wrist": np.stack([picture[::2, ::2]] * steps)}
@@ -379,9 +382,10 @@ def test_training_and_policy_compute_the_same_memory():
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(("executed", "grasped"), [(None, True), (0.0, True), (1.0, False), (0.5, False)])
+@pytest.mark.parametrize(("executed", "grasped"), [(None, True), (1.0, False)])
 def test_the_memory_follows_the_command_that_was_executed_not_the_one_that_was_answered(tmp_path, executed, grasped):
-    policy = LearnedPolicy(Trainer(assembled(held_episode()), BCConfig(steps=1, channels=8, hidden=8), tmp_path).save())
+    Trainer(assembled(held_episode()), BCConfig(steps=1, channels=8, hidden=8), tmp_path).save()
+    policy = LearnedPolicy(tmp_path)
     predict, states = policy._predict, []
 
     def closing(weights, inputs):

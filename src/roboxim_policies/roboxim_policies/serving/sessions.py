@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from roboxim_core.actions import ActionContext, ActionPlan, GripperRule, GripperSwitch
-from roboxim_core.config import from_plain
 from roboxim_core.conventions import (
     ActionOutput,
     Chunking,
@@ -39,7 +38,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.proprioception import Proprioception
 from roboxim_core.rotation.representations import Floats, RotationRepresentation, encode
 from roboxim_policies.serving.instances import Instances
-from roboxim_policies.wires.openpi import OWN_SERVER
+from roboxim_policies.wires.own import OwnExtras, extras_in
 from roboxim_policies.wires.parts import last_part
 
 MAX_SESSIONS = 32
@@ -233,9 +232,8 @@ class Session:
             raise InvalidRequestError(
                 f"the request has no instruction '{self._convention.prompt.key}', only {sorted(map(str, request))}"
             )
-        own = request.get(OWN_SERVER)
-        own = own if isinstance(own, dict) else None
-        measured = self._measured(request, own)
+        own = extras_in(request, self._convention.window)
+        measured = [item.proprio for item in own.observations] if own else self._proprioception(request)
         self._enter(prompt, own, measured[-1], guess=guess)
         window = self._window(request, own, measured)
         actions = self._row(window) if self._single else np.asarray(self._guard.act(window).actions, dtype=float)
@@ -244,12 +242,12 @@ class Session:
         self._last = np.array([*measured[-1].tcp_position, len(numbers)])
         return numbers
 
-    def _enter(self, prompt: str, own: Mapping[str, Any] | None, measured: Proprioception, *, guess: bool) -> None:
+    def _enter(self, prompt: str, own: OwnExtras | None, measured: Proprioception, *, guess: bool) -> None:
         """Begin an episode if the request is the first of one."""
         instruction, episode_id, seed = self._announced or ("", "", 0)
         if own is not None:
-            known = self._episode == own.get("episode_id") and int(own.get("seq", 0)) >= self._seq
-            episode_id, seed = str(own.get("episode_id", episode_id)), int(own.get("seed", seed))
+            known = self._episode == own.episode_id and own.seq >= self._seq
+            episode_id, seed = own.episode_id, seed if own.seed is None else own.seed
         else:
             known = prompt == self._prompt and not (guess and self._jumped(measured))
         if known and self._announced is None:
@@ -288,24 +286,14 @@ class Session:
             row[-1] = polarity.number(self._commanded)
         return row[None]
 
-    def _measured(self, request: Mapping[str, Any], own: Mapping[str, Any] | None) -> list[Proprioception]:
-        """Return the measurements of each of the request's ticks."""
-        if own is None:
-            return self._proprioception(request)
-        seen = own.get("observations")
-        if not isinstance(seen, list) or len(seen) != self._convention.window:
-            raise InvalidRequestError(f"'{OWN_SERVER}' of the request must have {self._convention.window} observations")
-        return [from_plain(item["proprio"], Proprioception, source="the request") for item in seen]
-
     def _window(
-        self, request: Mapping[str, Any], own: Mapping[str, Any] | None, proprio: list[Proprioception]
+        self, request: Mapping[str, Any], own: OwnExtras | None, proprio: list[Proprioception]
     ) -> ObservationWindow:
         size = self._convention.window
         pictures = {image.camera: self._pictures(image, request) for image in self._convention.images}
         if own is not None:
-            stamps = [(int(item["seq"]), int(item["stamp_ns"])) for item in own["observations"]]
-            mask = tuple(bool(real) for real in own.get("pad_mask", ()))
-            self._seq = int(own.get("seq", self._seq))
+            stamps = [(item.seq, item.stamp_ns) for item in own.observations]
+            mask, self._seq = own.pad_mask, own.seq
         else:
             stamps = [(max(self._seq - size + 1 + i, 0), 0) for i in range(size)]
             mask = tuple(self._seq - size + 1 + i >= 0 for i in range(size))
@@ -318,7 +306,7 @@ class Session:
         ]  # fmt: skip
         return ObservationWindow(
             instruction=self._instruction, observations=observations, pad_mask=mask, episode_id=self._episode,
-            seq=self._seq, commanded_opening=self._commanded if own is None else own.get("commanded_opening"),
+            seq=self._seq, commanded_opening=self._commanded if own is None else own.commanded_opening,
         )  # fmt: skip
 
     def _pictures(self, image: ImageInput, request: Mapping[str, Any]) -> list[np.ndarray[Any, Any]]:
@@ -354,10 +342,16 @@ class Session:
             if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
                 raise InvalidRequestError(f"the request needs the state '{state.key}', has {sorted(map(str, request))}")
             joints = convention.action.joints
-            rows = np.asarray(value, dtype=float).reshape(size, -1)
-            if rows.shape[1] != state.size(joints):
-                raise InvalidRequestError(f"'{state.key}' must have {state.size(joints)} numbers, got {rows.shape[1]}")
-            readings = state.split(rows, convention.frames, joints)
+            values, length = np.asarray(value, dtype=float), state.size(joints)
+            if values.size != size * length or not np.isfinite(values).all():
+                raise InvalidRequestError(
+                    f"'{state.key}' must have {size * length} finite numbers, got {values.size}, of which "
+                    f"{np.isfinite(values).sum()} are finite"
+                )
+            try:
+                readings = state.split(values.reshape(size, length), convention.frames, joints)
+            except InvalidRequestError as error:
+                raise InvalidRequestError(f"'{state.key}' of the request: {error}") from None
             fields = {part.field for part in state.parts}
             for i, item in enumerate(found):
                 if StateField.TCP_POSITION in fields and np.isfinite(readings.tcp_positions[i]).all():

@@ -17,17 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from roboxim_core.config import from_plain, to_plain
+from roboxim_core.config import to_plain
 from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, Policy
 from roboxim_core.policy_guard import GuardedPolicy
-from roboxim_core.proprioception import Proprioception
 from roboxim_policies.base import BasePolicy
 from roboxim_policies.serving.batches import Batched, Batcher
 from roboxim_policies.serving.instances import Instances
 from roboxim_policies.serving.websocket import WebSocketServer
 from roboxim_policies.wires import openpi
 from roboxim_policies.wires.openpi import OWN_SERVER
+from roboxim_policies.wires.own import extras_in
 
 MAX_SESSIONS = 256
 """Largest number of simulators at the same time."""
@@ -153,26 +153,24 @@ def window_of(request: Mapping[str, Any]) -> ObservationWindow:
     Raises:
         InvalidRequestError: When it is damaged.
     """
-    own, images = request.get(OWN_SERVER), request.get(IMAGES)
-    if not isinstance(own, dict) or not isinstance(images, dict) or not isinstance(own.get("observations"), list):
+    own, images = extras_in(request), request.get(IMAGES)
+    if own is None or not isinstance(images, dict):
         raise InvalidRequestError(f"a request needs '{IMAGES}' and '{OWN_SERVER}' with observations")
-    seen = own["observations"]
     for camera, frames in images.items():
-        if not isinstance(frames, np.ndarray) or frames.dtype != np.uint8 or frames.shape[:1] != (len(seen),):
-            raise InvalidRequestError(f"'{IMAGES}' must have {len(seen)} uint8 pictures of camera '{camera}'")
+        count = len(own.observations)
+        rgb = isinstance(frames, np.ndarray) and frames.ndim == 4 and frames.shape[0] == count and frames.shape[3] == 3
+        if not rgb or frames.dtype != np.uint8:
+            raise InvalidRequestError(f"'{IMAGES}' must have {count} uint8 RGB pictures of camera '{camera}'")
     observations = [
         Observation(
-            seq=int(item["seq"]), stamp_ns=int(item["stamp_ns"]),
+            seq=item.seq, stamp_ns=item.stamp_ns, proprio=item.proprio,
             images={camera: frames[number] for camera, frames in images.items()},
-            proprio=from_plain(item["proprio"], Proprioception, source="the request"),
         )
-        for number, item in enumerate(seen)
+        for number, item in enumerate(own.observations)
     ]  # fmt: skip
     return ObservationWindow(
-        instruction=request["prompt"], observations=observations,
-        pad_mask=tuple(bool(real) for real in own.get("pad_mask", ())),
-        episode_id=str(own.get("episode_id", "")), seq=int(own.get("seq", 0)),
-        commanded_opening=own.get("commanded_opening"),
+        instruction=request["prompt"], observations=observations, pad_mask=own.pad_mask, episode_id=own.episode_id,
+        seq=own.seq, commanded_opening=own.commanded_opening,
     )  # fmt: skip
 
 

@@ -19,13 +19,14 @@ from roboxim_core.actions import (
     hold_action,
 )
 from roboxim_core.conventions import load_convention, observe
-from roboxim_core.errors import ConfigError, PolicyError
+from roboxim_core.errors import ConfigError, PolicyError, RoboximError
 from roboxim_core.policies import CameraRequirement, EpisodeStart, Observation, ObservationWindow
 from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_core.proprioception import Proprioception
 from roboxim_policies import BasePolicy, load_policy
 from roboxim_policies.serving import Sessions, policy_server
 from roboxim_policies.wires import openvla
+from roboxim_policies.wires.own import own_extras
 
 
 class Looking(BasePolicy):
@@ -272,6 +273,33 @@ def test_sessions_have_policies_of_their_own():
             alone.reset(EpisodeStart(episode_id="e", instruction="x", seed=index))
             np.testing.assert_array_equal(together[index], alone.act(window))
             remote.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda request: request["observation/state"].fill(np.nan), "'observation/state' must have 20 finite numbers"),
+        (lambda request: request["observation/state"][:, :3].fill(np.inf), "got 20, of which 14 are finite"),
+        (lambda request: request["observation/state"].fill(0), "'observation/state' of the request: .*rotation_6d"),
+        (lambda request: request["roboxim"].update(seq="x"), "'roboxim' of .*: seq: expected a whole number, got 'x'"),
+        (lambda request: request["roboxim"].update(seed=[]), "'roboxim' of .*: seed: expected .*"),
+        (lambda request: request["roboxim"]["observations"][1].pop("proprio"), "observations.1.proprio: required key"),
+        (
+            lambda request: request["roboxim"]["observations"][0]["proprio"].update(tcp_position=[1.0]),
+            "observations.0.proprio.tcp_position: expected 3 values, got 1",
+        ),
+        (lambda request: request["roboxim"].update(observations=[]), "must have 2 observations, got 0"),
+        (lambda request: request["roboxim"].update(commanded_opening=np.nan), "commanded_opening: expected a finite"),
+    ],
+)
+def test_a_wrong_request_is_refused_by_its_field(change, words):
+    sessions, (window, *_) = Sessions(Looking, size=64), windows()
+    request = {**observe(sessions.convention, window), "roboxim": own_extras(window)}
+    if "state" in words or "14" in words:
+        del request["roboxim"]
+    change(request)
+    with sessions.session() as session, pytest.raises(RoboximError, match=words):
+        session.answer(request)
 
 
 def test_failing_policy_costs_its_episode_and_the_server_goes_on():

@@ -27,8 +27,9 @@ from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError
 from roboxim_core.policies import ObservationWindow
 from roboxim_core.rotation.representations import RotationRepresentation
 from roboxim_policies.fitting_vla_eval import param_misfits
-from roboxim_policies.remote import SERVERS_OWN, own_extras
+from roboxim_policies.remote import SERVERS_OWN
 from roboxim_policies.wires.openpi import OWN_SERVER
+from roboxim_policies.wires.own import own_extras
 from roboxim_policies.wires.parts import last_part
 from roboxim_policies.wires.vla_eval import observation
 from roboxim_runs.environments.session import EpisodeSession, SessionConfig
