@@ -1,14 +1,17 @@
 """`roboxim.Evaluator` plays episodes with a policy of this process, and the example in the documentation runs."""
 
+import multiprocessing
 import re
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import roboxim
-from roboxim_core.errors import ConfigError, UnavailableError
+from roboxim_core.errors import ConfigError, ErrorCode, PolicyError, UnavailableError
 from roboxim_policies import BasePolicy
+from roboxim_runs.evaluation.beside_training import _Worker
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "generalists.md"
 EXAMPLE = re.search(r"```python not-run\n(.*?Evaluator.*?)```", PAGE.read_text(), re.DOTALL).group(1)
@@ -35,6 +38,49 @@ def test_wrong_numbers_and_tasks_are_named_before_anything_starts():
         roboxim.Evaluator(episodes=0)
     with pytest.raises(ConfigError, match="no_such_task"):
         roboxim.Evaluator("no_such_task")
+
+
+class Tensor:
+    """Of a library that only the user's process has."""
+
+    def __init__(self, numbers):
+        self.numbers = numbers
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array(self.numbers, dtype)
+
+    def __reduce__(self):
+        raise TypeError("it lies on a device")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"), [([[0.0] * 7], ""), ([[np.nan] * 7], "policy 'Answering': .*finite"), ("x", "policy 'Answ")]
+)
+def test_a_worker_receives_plain_actions_or_why_there_are_none(numbers, words):
+    class Answering(BasePolicy):
+        def act(self, window):
+            return Tensor(numbers)
+
+    here, there = multiprocessing.Pipe()
+    worker = _Worker(process=None, connection=here, policy=Answering(), description=Answering().describe())
+    there.send(("act", None))
+    assert roboxim.Evaluator._answer(worker) is None
+    answer = there.recv()
+    if words:
+        assert isinstance(answer, PolicyError)
+        assert re.search(words, str(answer))
+        assert answer.code == ErrorCode.INVALID_ACTION
+    else:
+        assert answer.actions.tolist() == numbers
+
+
+def test_a_worker_that_has_died_between_two_calls_is_named():
+    here, there = multiprocessing.Pipe()
+    there.close()
+    dead = subprocess.Popen(["false"])
+    dead.wait()
+    with pytest.raises(UnavailableError, match="a worker of the evaluator has died .exit code 1."):
+        _Worker(process=dead, connection=here).send(("episode", 0))
 
 
 @pytest.mark.slow

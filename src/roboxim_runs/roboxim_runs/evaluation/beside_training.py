@@ -18,8 +18,9 @@ from typing import Any, Self
 
 from roboxim_bringup.process import spawn, stop
 from roboxim_core.episode import EpisodeResult, RunConfig
-from roboxim_core.errors import ConfigError, UnavailableError
-from roboxim_core.policies import Policy
+from roboxim_core.errors import ConfigError, PolicyError, UnavailableError
+from roboxim_core.policies import ActionChunk, Policy, PolicyDescription
+from roboxim_core.policy_guard import checked_answer
 from roboxim_eval.statistics.rates import SuccessRate, rate_of
 from roboxim_runs.episodes.task_choice import task_text
 
@@ -57,7 +58,26 @@ class _Worker:
     process: subprocess.Popen[bytes]
     connection: Connection[Any, Any]
     policy: Policy | None = None
+    description: PolicyDescription | None = None
     index: int | None = None
+
+    def send(self, message: Any) -> None:
+        """Send a message.
+
+        Raises:
+            UnavailableError: When the worker has died.
+        """
+        try:
+            self.connection.send(message)
+        except (BrokenPipeError, ConnectionResetError):
+            raise self.died() from None
+
+    def died(self) -> UnavailableError:
+        """Return the error that says so."""
+        return UnavailableError(
+            f"a worker of the evaluator has died (exit code {self.process.poll()}) in episode {self.index}; its last "
+            "words are above"
+        )
 
 
 class Evaluator:
@@ -116,7 +136,8 @@ class Evaluator:
             waiting, found = list(range(self._episodes)), dict[int, EpisodeResult]()
             for worker in self._workers:
                 worker.policy = make()
-                worker.connection.send(("policy", worker.policy.describe()))
+                worker.description = worker.policy.describe()
+                worker.send(("policy", worker.description))
                 self._next(worker, waiting)
             while len(found) < self._episodes:
                 for connection in wait([worker.connection for worker in self._workers], timeout=1.0):
@@ -136,35 +157,32 @@ class Evaluator:
             with there:
                 process = spawn(WORKER, [str(there.fileno()), self._renderer], pass_fds=(there.fileno(),))
             self._workers.append(_Worker(process, Connection(here.detach())))
-            self._workers[-1].connection.send(self._config)
+            self._workers[-1].send(self._config)
 
     @staticmethod
     def _next(worker: _Worker, waiting: list[int]) -> None:
         """Give a worker its next episode, if there is one."""
         worker.index = waiting.pop(0) if waiting else None
         if worker.index is not None:
-            worker.connection.send(("episode", worker.index))
+            worker.send(("episode", worker.index))
 
     @staticmethod
     def _answer(worker: _Worker) -> tuple[int, EpisodeResult] | None:
         """Answer what a worker asks; return its episode's result, if that is what it says."""
         assert worker.policy is not None
+        assert worker.description is not None
         try:
             kind, value = worker.connection.recv()
         except (EOFError, OSError):
-            code = worker.process.poll()
-            raise UnavailableError(
-                f"a worker of the evaluator has died (exit code {code}) in episode {worker.index}; its last words are "
-                "above"
-            ) from None
+            raise worker.died() from None
         if kind == "result":
             assert worker.index is not None
             return worker.index, value
         if kind == "reset":
             worker.policy.reset(value)
-            worker.connection.send(None)
+            worker.send(None)
         else:
-            worker.connection.send(worker.policy.act(value))
+            worker.send(_readable(worker.policy.act(value), worker.description))
         return None
 
     def close(self) -> None:
@@ -182,6 +200,14 @@ class Evaluator:
     def __exit__(self, *_: object) -> None:
         """End the workers."""
         self.close()
+
+
+def _readable(answer: Any, description: PolicyDescription) -> ActionChunk | PolicyError:
+    """Return what a worker can read of a policy's answer, e.g. of a tensor of this process, or why it is invalid."""
+    try:
+        return checked_answer(answer, description)
+    except PolicyError as error:
+        return PolicyError(f"policy '{description.name}': {error}", error.code)
 
 
 __all__ = ["Evaluator", "Score"]

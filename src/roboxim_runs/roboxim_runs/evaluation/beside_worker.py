@@ -36,7 +36,10 @@ class Elsewhere:
     def act(self, window: Any) -> Any:
         """Ask for the next actions."""
         self._connection.send(("act", window))
-        return self._connection.recv()
+        answer = self._connection.recv()
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
 
 def main() -> None:
