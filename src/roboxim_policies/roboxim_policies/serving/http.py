@@ -141,15 +141,18 @@ class OpenVlaServer(PolicyServer):
     @contextmanager
     def _client(self, name: str) -> Iterator[_Client]:
         """Yield a client's session, alone; the least recently used ones are dropped when there are too many."""
-        with self._lock:
-            if name not in self._clients:
-                while len(self._clients) >= MAX_SESSIONS:
-                    self._clients.popitem(last=False)[1].close()
-                self._clients[name] = _Client(self.sessions)
-            self._clients.move_to_end(name)
-            client = self._clients[name]
-        with client.lock:
-            yield client
+        while True:
+            with self._lock:
+                if name not in self._clients:
+                    while len(self._clients) >= MAX_SESSIONS:
+                        self._clients.popitem(last=False)[1].close()
+                    self._clients[name] = _Client(self.sessions)
+                self._clients.move_to_end(name)
+                client = self._clients[name]
+            with client.lock:
+                if client.is_open:  # otherwise it was dropped meanwhile, and another client has its policy
+                    yield client
+                    return
 
 
 class _Server(ThreadingHTTPServer):
@@ -169,9 +172,11 @@ class _Client:
         self._stack = ExitStack()
         self.session: Session = self._stack.enter_context(sessions.session())
         self.lock = threading.Lock()
+        self.is_open = True
         self.episode = ""
 
     def close(self) -> None:
         """Give the policy's instance back when the session's answer is given."""
         with self.lock:
+            self.is_open = False
             self._stack.close()

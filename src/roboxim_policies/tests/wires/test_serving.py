@@ -1,6 +1,7 @@
 """RoboXim's policies, served over each wire and asked over it, act as they do in process."""
 
 import json
+import threading
 import urllib.request
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -209,6 +210,25 @@ def test_clients_of_openvlas_wire_have_sessions_of_their_own():
             alone = Looking()
             alone.reset(EpisodeStart(episode_id="e", instruction="Pick up the red cube", seed=seed))
             np.testing.assert_array_equal(together[seed], alone.act(first)[:1])
+
+
+def test_a_client_of_openvlas_wire_that_is_dropped_while_it_waits_gets_a_session_of_its_own():
+    """Otherwise it would act with a policy that another client has taken meanwhile."""
+    with policy_server(Looking, "openvla", port=0, size=64) as server:
+        with server._client("a") as first:
+            pass
+
+        class Dropped:
+            def __enter__(self):
+                first.lock = threading.Lock()
+                server._clients.pop("a").close()
+
+            def __exit__(self, *_):
+                pass
+
+        first.lock = Dropped()
+        with server._client("a") as again:
+            assert again is not first
 
 
 class Counting(BasePolicy):
