@@ -14,7 +14,7 @@ import io
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +22,15 @@ import jax
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.actions import ActionSemantics
+from roboxim_core.actions import ACTION_SIZE, ActionSemantics
 from roboxim_core.config import digest, from_plain, to_json, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.proprioception import STATE_NAMES
 from roboxim_policies.learning.checkpoint_file import FORMAT, UNREADABLE, checkpoint_file, family_in, read_description
 from roboxim_policies.learning.config import LearningConfig
-from roboxim_policies.learning.data import Demonstrations
+from roboxim_policies.learning.data import TARGET_SIZE, Demonstrations
 from roboxim_policies.learning.families import config_class
+from roboxim_policies.learning.features import STATE_SIZE
 
 Floats = npt.NDArray[np.float32]
 ORIGINAL = "original_sha256"
@@ -140,10 +141,10 @@ class Checkpoint:
         for part in (data, held_out) if held_out else (data,):
             for name, images in sorted(part.images.items()):
                 content.update(f"{name}{images.shape}".encode())
-                content.update(np.ascontiguousarray(images))
+                content.update(np.ascontiguousarray(images).data)
             content.update(f"{part.vocabulary}{to_json(part.semantics)}{part.instructions}".encode())
             for array in (part.actions, part.proprio, part.ends, part.words, part.instruction):
-                content.update(np.ascontiguousarray(array))
+                content.update(np.ascontiguousarray(array).data)
         if started_from:
             content.update(f"from {started_from['digest']}".encode())
         known = config if config.held_out else replace(config, checkpoint_every=1)
@@ -161,6 +162,46 @@ class Checkpoint:
                 "the checkpoint's arrays do not fit its configuration; another version of RoboXim wrote it"
             )
         return jax.tree.unflatten(structure, [jax.numpy.asarray(array) for array in self.arrays])
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Description:
+    """The description in a checkpoint, as far as a policy needs it; see `Checkpoint` for the fields."""
+
+    step: int
+    config: dict[str, Any]
+    stats: dict[str, tuple[float, ...]]
+    empty_below: float
+    vocabulary: tuple[str, ...]
+    word_count: int
+    camera_sizes: dict[str, tuple[int, int]]
+    input_sizes: dict[str, int]
+    semantics: ActionSemantics
+    identity: str
+    digest: str
+    robot: str = ""
+    chosen: Chosen | None = None
+    started_from: dict[str, Any] = field(default_factory=dict)
+    pretraining: dict[str, Any] = field(default_factory=dict)
+    original_sha256: str = ""
+
+    def __post_init__(self) -> None:
+        """Check that the parts fit each other; the weights are checked against the configuration.
+
+        Raises:
+            ConfigError: Naming the part.
+        """
+        sizes = {"state_mean": STATE_SIZE, "state_scale": STATE_SIZE, "motion_scale": ACTION_SIZE - 1}
+        sizes |= {"target_mean": TARGET_SIZE, "target_scale": TARGET_SIZE}
+        if {name: len(values) for name, values in self.stats.items()} != sizes:
+            raise ConfigError(f"stats must have the lengths {sizes}")
+        if not self.input_sizes or self.input_sizes.keys() != self.camera_sizes.keys():
+            raise ConfigError(f"input_sizes must name the cameras of camera_sizes, {', '.join(self.camera_sizes)}")
+        if (
+            min(self.word_count, *self.input_sizes.values(), *(n for size in self.camera_sizes.values() for n in size))
+            < 1
+        ):
+            raise ConfigError("word_count, input_sizes and camera_sizes must be >= 1")
 
 
 def save_checkpoint(
@@ -268,25 +309,29 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise ConfigError(f"{file} is not a readable checkpoint: {error}") from None
     if not arrays:
         raise ConfigError(f"{file} is not a readable checkpoint: it has no weights")
+    known = {field.name for field in fields(_Description)}  # others, e.g. of the pictures' viewpoints, have own readers
+    said = from_plain(
+        {key: value for key, value in description.items() if key in known}, _Description, source=str(file)
+    )
     return Checkpoint(
-        step=description["step"],
-        config=from_plain(description["config"], config_class(family_in(description)), source=str(file)),
-        stats=Statistics(**{name: np.array(value, np.float32) for name, value in description["stats"].items()}),
-        empty=float(description["empty_below"]),
-        vocabulary=tuple(description["vocabulary"]),
-        word_count=description["word_count"],
-        camera_sizes={name: (int(w), int(h)) for name, (w, h) in description["camera_sizes"].items()},
-        input_sizes=description["input_sizes"],
-        semantics=from_plain(description["semantics"], ActionSemantics, source=str(file)),
-        robot=description.get("robot", ""),
-        chosen=Chosen(**description["chosen"]) if "chosen" in description else None,
-        identity=description["identity"],
+        step=said.step,
+        config=from_plain(said.config, config_class(family_in(description)), source=str(file)),
+        stats=Statistics(**{name: np.array(value, np.float32) for name, value in said.stats.items()}),
+        empty=said.empty_below,
+        vocabulary=said.vocabulary,
+        word_count=said.word_count,
+        camera_sizes=said.camera_sizes,
+        input_sizes=said.input_sizes,
+        semantics=said.semantics,
+        robot=said.robot,
+        chosen=said.chosen,
+        identity=said.identity,
         continues=description["format"] == FORMAT,
-        digest=description["digest"],
+        digest=said.digest,
         arrays=arrays,
-        started_from=description.get("started_from", {}),
-        pretraining=description.get("pretraining", {}),
-        original_sha256=description.get(ORIGINAL, ""),
+        started_from=said.started_from,
+        pretraining=said.pretraining,
+        original_sha256=said.original_sha256,
     )
 
 

@@ -89,7 +89,7 @@ def read_description(path: Path) -> dict[str, Any]:
         raise ConfigError(
             f"{file} has format {description.get('format')}, this version reads {ACTING[0]} to {FORMAT}; train it again"
         )
-    if tuple(description.get("state_layout", ())) != STATE_NAMES:
+    if description.get("state_layout") != list(STATE_NAMES):
         raise ConfigError(
             f"{file} was trained on proprioception {description.get('state_layout')}, this version has "
             f"{list(STATE_NAMES)}; export the bags and train again"
