@@ -36,7 +36,8 @@ COLORS = {"red": (220, 30, 30), "blue": (30, 30, 220)}
 def episode(rng: np.random.Generator, color: str, steps: int = 8) -> Demonstration:
     """Return an episode: images with a square per colour, actions along x to the named one, then a closing gripper.
 
-    Nothing but the words and the picture tells the direction: the measured arm moves along y, in all episodes alike.
+    Nothing but the words and the picture tells the direction: the arm is measured where it began until the gripper
+    closes.
     """
     places = dict(zip(COLORS, rng.permutation([4, 22]), strict=True))
     picture = np.full((32, 32, 3), 128, np.uint8)
@@ -47,12 +48,11 @@ def episode(rng: np.random.Generator, color: str, steps: int = 8) -> Demonstrati
     actions = np.zeros((steps, 7), np.float32)
     actions[:, 0] = 0.02 * direction
     actions[:, 6] = np.arange(steps) < steps - 2
-    proprio = np.stack(
-        [
-            Proprioception(tcp_position=(0.5, 0.02 * step, 0.0), gripper_opening=opening).vector()
-            for step, opening in enumerate(actions[:, 6].tolist())
-        ]
-    )
+    measured = [
+        Proprioception(tcp_position=(0.5 if opening else 0.5 + 0.12 * direction, 0.0, 0.0), gripper_opening=opening)
+        for opening in actions[:, 6].tolist()
+    ]
+    proprio = np.stack([each.vector() for each in measured])
     images = {"workspace": np.stack([picture] * steps), "wrist": np.stack([picture[::2, ::2]] * steps)}
     return Demonstration(images=images, proprio=proprio, actions=actions, instruction=f"Pick up the {color} cube")
 
@@ -269,6 +269,24 @@ def test_words_and_yaw_are_read_as_meant():
     eighth = Proprioception(tcp_rotation_6d=(2**-0.5, 2**-0.5, 0.0, 2**-0.5, -(2**-0.5), 0.0), gripper_opening=0.5)
     assert np.allclose(proprio_features(down), proprio_features(half_turn), atol=1e-6)
     assert proprio_features(eighth.vector()) == pytest.approx([0, 0, 0, 0.5, 1, 0, 0, 0], abs=1e-6)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [({"step": "x"}, "step: expected a whole number"), ({"stats": {"state_mean": [1.0]}}, "stats must have the len"),
+     ({"vocabulary": 1}, "vocabulary: expected a list"), ({"word_count": -1}, "word_count, .* must be >= 1"),
+     ({"camera_sizes": {"workspace": [1]}}, "camera_sizes.workspace: expected 2 values, got 1"),
+     ({"input_sizes": {}}, "input_sizes must name the cameras"), ({"empty_below": None}, "empty_below: expected a num"),
+     ({"state_layout": None}, "trained on proprioception None"), ({"chosen": {}}, "chosen.step: required key")],
+)  # fmt: skip
+def test_a_wrong_description_of_a_checkpoint_is_refused_by_its_field(trained, tmp_path, changed, said):
+    with np.load(trained[0] / "checkpoint.npz") as archive:
+        arrays = dict(archive)
+    arrays["said"] = np.array(json.dumps(json.loads(str(arrays["said"])) | changed))
+    np.savez(tmp_path / "wrong.npz", **arrays)
+    with pytest.raises(ConfigError, match=rf"wrong\.npz.*{said}"):
+        load_checkpoint(tmp_path / "wrong.npz")
 
 
 @pytest.mark.thorough

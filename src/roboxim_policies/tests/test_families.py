@@ -64,7 +64,7 @@ def test_an_interrupted_training_ends_in_the_same_bits_and_its_policy_acts(famil
 @pytest.mark.parametrize("family", ["rt1s", "act"])
 def test_it_learns_to_follow_the_named_colour_also_in_words_that_are_new(family, tmp_path):
     reports = []
-    Trainer(data(48), config(family, steps=400), tmp_path).run(reports.append)
+    Trainer(data(48), config(family, steps=1000, channels=16, keypoints=8), tmp_path).run(reports.append)
     assert reports[-1].parts["move"] < 0.3 * reports[0].parts["move"]
     policy = LearnedPolicy(tmp_path)
     rng = np.random.default_rng(0)
