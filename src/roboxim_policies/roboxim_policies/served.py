@@ -83,6 +83,11 @@ class _SharedWire(OpenPiWire):
 
     reply: Mapping[str, Any] = {}
 
+    @classmethod
+    def name(cls) -> str:
+        """Return its name for messages."""
+        return "policy"
+
     def _actions(self, reply: Any) -> Answer:
         self.reply = reply if isinstance(reply, dict) else {}
         return super()._actions(reply)

@@ -143,7 +143,7 @@ class SharedServer(WebSocketServer):
                     seed=int(request.get("seed", 0)),
                 )
             )  # fmt: skip
-            return "reset successful"
+            return openpi.RESET
         return openpi.encode(_plain(policy.act(window_of(request))))
 
 

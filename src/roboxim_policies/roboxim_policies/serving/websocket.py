@@ -112,7 +112,7 @@ class OpenPiServer(WebSocketServer):
                 str(request.get("prompt", "")), episode_id=str(request.get("session_id", "")),
                 seed=int(request.get("seed", 0)),
             )  # fmt: skip
-            return "reset successful"
+            return openpi.RESET
         began = time.perf_counter()
         actions = session.answer(request, guess="endpoint" not in request).astype(np.float32)
         elapsed_ms = 1000 * (time.perf_counter() - began)

@@ -41,6 +41,10 @@ OWN_SERVER = "roboxim"
 """Key of the metadata by which RoboXim's own server is known."""
 
 
+RESET = "reset successful"
+"""What the genuine server and RoboXim's own reply to a reset."""
+
+
 class Dialect(StrEnum):
     """Envelope of requests and replies."""
 
@@ -158,12 +162,14 @@ class OpenPiWire(WebSocketWire):
         if self._dialect != Dialect.ROBOARENA:
             return
         request: dict[str, Any] = {"session_id": self._session, "endpoint": "reset"}
-        if OWN_SERVER in (self._metadata or {}) or (self._metadata or {}).get("takes_seed") is True:
+        metadata = self._metadata or {}
+        is_own = OWN_SERVER in metadata or metadata.get("takes_seed") is True
+        if is_own:
             request |= {"prompt": start.instruction, "seed": start.seed}
         connection.send(encode(request), deadline)
         reply = connection.receive(deadline, "answer to the reset")
         text = reply if isinstance(reply, str) else decode(reply)
-        if isinstance(text, str) and text.startswith("Traceback"):
+        if isinstance(text, str) and (text != RESET if is_own else text.startswith("Traceback")):
             raise fault(f"{self.server} could not reset: {quoted(text)}")
 
     def _ask(self, request: Request, deadline: Deadline) -> Answer:

@@ -286,6 +286,21 @@ def test_a_malformed_answer_of_a_model_costs_its_connection_and_hangs_no_client(
             wire.close()
 
 
+def test_a_model_that_raises_when_an_episode_begins_says_why():
+    class Refusing(openpi_server.Model):
+        def begin(self, seed):
+            raise RuntimeError("no memory")
+
+        def act(self, asked):
+            return []
+
+    with served(Refusing()) as server:
+        wire = OpenPiWire(server.url, timeout_s=30.0, reconnect_s=0.0)
+        with pytest.raises(PolicyError, match="could not reset: RuntimeError: no memory"):
+            wire.reset(EpisodeStart(episode_id="e", instruction="x", seed=0))
+        wire.close()
+
+
 def test_a_request_to_a_server_that_stops_is_refused():
     worker = openpi_server.Worker(openpi_server.Model.__new__(type("M", (openpi_server.Model,), {"act": list})))
     with worker:

@@ -166,6 +166,24 @@ def test_a_policy_that_fails_costs_its_episode_and_the_server_goes_on(make, mess
                 client.act(next(windows()))
 
 
+class Choosy(Looking):
+    """Refuses the episode of seed 1."""
+
+    def reset(self, start):
+        if start.seed == 1:
+            raise RuntimeError("not this scene")
+        super().reset(start)
+
+
+def test_a_policy_that_raises_when_an_episode_begins_says_why():
+    with served(Choosy) as (_, [client]):
+        with pytest.raises(PolicyError, match="could not reset.* raised RuntimeError .*not this scene") as caught:
+            client.reset(start(seed=1))
+        assert caught.value.code == ErrorCode.POLICY_FAULT
+        client.reset(start(seed=0))
+        assert len(client.act(next(windows())).actions) == 3
+
+
 def test_a_lost_server_is_told_from_a_failing_policy():
     with served(Looking) as (server, [client]):
         client.reset(start())
