@@ -11,6 +11,7 @@ import pytest
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ConfigError
+from roboxim_policies.learning import data as reading_of
 from roboxim_policies.learning.checkpoint import Checkpoint, load_checkpoint, policy_only
 from roboxim_policies.learning.data import Reading, _view
 from roboxim_policies.learning.policy import LearnedPolicy
@@ -141,6 +142,36 @@ def test_a_wrong_choice_is_refused(reading, tmp_path):
         replace(CONFIG, patience=3)
     with pytest.raises(ConfigError, match="held_out is 4, and there are no such episodes"):
         Trainer(data(4), HELD, tmp_path)
+
+
+def test_a_number_that_is_not_finite_is_named_before_the_training(monkeypatch):
+    """The training would diverge, and advise another learning rate."""
+    rng = np.random.default_rng(0)
+    shown = [episode(rng, "red"), episode(rng, "blue")]
+    shown[1].actions[3, 2] = np.nan
+
+    def read(demonstration):
+        frames = demonstration.images["workspace"]
+        steps = [
+            SimpleNamespace(images={"workspace": frame}, proprio=proprio, action=action)
+            for frame, proprio, action in zip(frames, demonstration.proprio, demonstration.actions, strict=True)
+        ]
+        return SimpleNamespace(
+            picker=lambda names: lambda step: step.proprio, steps=lambda cameras: iter(steps), robot="panda",
+            metadata={}, instruction=demonstration.instruction, semantics=ActionSemantics(),
+        )  # fmt: skip
+
+    camera = SimpleNamespace(width=32, height=32)
+    dataset = SimpleNamespace(
+        splits={"train": 2}, features=SimpleNamespace(cameras={"workspace": camera}),
+        episodes=lambda split: iter(map(read, shown)),
+    )  # fmt: skip
+    monkeypatch.setattr(reading_of, "open_dataset", lambda path: dataset)
+    monkeypatch.setattr(reading_of, "require_semantics", lambda episode, path: episode.semantics)
+    with pytest.raises(ConfigError, match="set: episode 1 .*: component 2 of the action of step 3 is nan"):
+        reading_of.read_demonstrations(Path("set"), image_sizes={"workspace": 16}, limit=2)
+    shown[1].actions[3, 2] = 0.0
+    assert len(reading_of.read_demonstrations(Path("set"), image_sizes={"workspace": 16}, limit=2).episodes) == 2
 
 
 def test_demonstrations_say_from_where_their_cameras_looked():

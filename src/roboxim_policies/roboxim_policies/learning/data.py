@@ -267,8 +267,8 @@ def read_demonstrations(
         progress: Called with (episodes read, total episodes).
 
     Raises:
-        ConfigError: When there is no dataset, a camera or a component of the state is not in it, or episodes differ in
-            their action semantics.
+        ConfigError: When there is no dataset, a camera or a component of the state is not in it, episodes differ in
+            their action semantics, or a number is not finite.
         InvalidRequestError: When there is no such split.
         RecorderError: When the dataset is damaged.
     """
@@ -293,6 +293,7 @@ def read_demonstrations(
         for camera, seen in views.items():
             seen.add(_view(episode, camera))
         episodes.append(_demonstration(episode, sizes))
+        _require_finite(episodes[-1], f"{path}: episode {index} of split '{split}'")
         progress(index + 1, total)
     if semantics is None:
         raise ConfigError(f"{path}: split '{split}' has no episodes")
@@ -314,6 +315,17 @@ def _view(episode: Episode, camera: str) -> str:
         return str(drawn.get(f"camera.{camera}", camera))
     except (KeyError, TypeError, ValueError, AttributeError):  # the dataset of another tool
         return ""
+
+
+def _require_finite(demonstration: Demonstration, where: str) -> None:
+    for what, rows in (("action", demonstration.actions), ("proprioception", demonstration.proprio)):
+        wrong = np.argwhere(~np.isfinite(rows))
+        if len(wrong):
+            step, component = wrong[0].tolist()
+            raise ConfigError(
+                f"{where}: component {component} of the {what} of step {step} is {rows[step, component]}; repair the "
+                "dataset, or export it without this episode ('roboxim audit' lists all such steps)"
+            )
 
 
 def _demonstration(episode: Episode, sizes: Mapping[str, int]) -> Demonstration:
