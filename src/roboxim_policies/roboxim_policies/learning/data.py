@@ -324,7 +324,7 @@ def _require_finite(demonstration: Demonstration, where: str) -> None:
             step, component = wrong[0].tolist()
             raise ConfigError(
                 f"{where}: component {component} of the {what} of step {step} is {rows[step, component]}; repair the "
-                "dataset, or export it without this episode ('roboxim audit' lists all such steps)"
+                "dataset, or export it without this episode"
             )
 
 

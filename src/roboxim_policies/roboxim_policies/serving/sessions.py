@@ -316,10 +316,10 @@ class Session:
             raise InvalidRequestError(
                 f"the request needs a uint8 picture '{image.key}', has {sorted(map(str, request))}"
             )
-        frames = [value] if size == 1 and value.ndim == 3 else list(value)
+        frames = [value] if size == 1 and value.ndim == 3 else list(np.atleast_1d(value))
         if image.layout == Layout.CHW:
             frames = [np.moveaxis(frame, 0, 2) if frame.ndim == 3 else frame for frame in frames]
-        if len(frames) != size or any(frame.ndim != 3 or frame.shape[2] != 3 for frame in frames):
+        if len(frames) != size or any(frame.ndim != 3 or frame.shape[2] != 3 or not frame.size for frame in frames):
             raise InvalidRequestError(
                 f"'{image.key}' must have {size} RGB pictures, in the layout '{image.layout}', got {value.shape}"
             )

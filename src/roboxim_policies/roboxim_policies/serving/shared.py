@@ -159,7 +159,7 @@ def window_of(request: Mapping[str, Any]) -> ObservationWindow:
     for camera, frames in images.items():
         count = len(own.observations)
         rgb = isinstance(frames, np.ndarray) and frames.ndim == 4 and frames.shape[0] == count and frames.shape[3] == 3
-        if not rgb or frames.dtype != np.uint8:
+        if not rgb or frames.dtype != np.uint8 or not frames.size:
             raise InvalidRequestError(f"'{IMAGES}' must have {count} uint8 RGB pictures of camera '{camera}'")
     observations = [
         Observation(

@@ -295,12 +295,17 @@ def test_sessions_have_policies_of_their_own():
             remote.close()
 
 
+PICTURE = "observation/images/workspace"
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         (lambda request: request["observation/state"].fill(np.nan), "'observation/state' must have 20 finite numbers"),
         (lambda request: request["observation/state"][:, :3].fill(np.inf), "got 20, of which 14 are finite"),
         (lambda request: request["observation/state"].fill(0), "'observation/state' of the request: .*rotation_6d"),
+        (lambda request: request.update({PICTURE: np.uint8(3)[...]}), "must have 2 RGB pictures, .* got .."),
+        (lambda request: request.update({PICTURE: np.zeros((2, 0, 0, 3), np.uint8)}), "must have 2 RGB pictures"),
         (lambda request: request["roboxim"].update(seq="x"), "'roboxim' of .*: seq: expected a whole number, got 'x'"),
         (lambda request: request["roboxim"].update(seed=[]), "'roboxim' of .*: seed: expected .*"),
         (lambda request: request["roboxim"]["observations"][1].pop("proprio"), "observations.1.proprio: required key"),
