@@ -40,6 +40,7 @@ from roboxim_runs.experiments.delivery.demands import task_mix_of
 from roboxim_runs.experiments.files import trainer_name
 from roboxim_runs.experiments.provenance import Attestations, Origin, device, origin_statements
 from roboxim_runs.experiments.scenes.fresh import card_part
+from roboxim_runs.experiments.trained.starts import with_start
 from roboxim_runs.storage.folder import RunFolder
 from roboxim_tasks.config import TaskMix
 
@@ -286,6 +287,7 @@ def _trainings(
             f"{training.condition}.{training.replicate}", steps=training.steps,
             dataset_sha256=datasets[dataset].sha256 if dataset in datasets else "", here=here,
         )  # fmt: skip
+        attest = with_start(attest, design, out / name)
         yield CardTraining(
             condition=training.condition, replicate=training.replicate, dataset=dataset,
             recipe_sha256=sha256_of(as_json(attest.recipe)), seed=training.seed,

@@ -68,6 +68,7 @@ from roboxim_runs.experiments.trained.policies import (
     server_of_policy,
 )
 from roboxim_runs.experiments.trained.servers import require_reachable
+from roboxim_runs.experiments.trained.starts import require_start, start_digests
 from roboxim_runs.policies.specs import PolicySpec
 from roboxim_runs.storage.folder import checked_path, locked, make_folder
 from roboxim_runs.training.commands import Trained, train, train_on
@@ -275,6 +276,7 @@ class _Run:
         require_reachable(servers.values(), executor)
         require_found(config.policies.values() if evaluations else ())
         require_trainers_policy(design.trainer)
+        self._starts = {f"train/{name}": weights for name, weights in start_digests(design).items()}
         self._runner = Stages(
             design=design, out=self.out, policies=self.policies, servers=servers, workers=config.workers,
             renderer=config.renderer, on_event=on_event, cancellation=cancellation, executor=executor, kept=kept,
@@ -316,9 +318,12 @@ class _Run:
             "config": to_plain(self.design.config), "definitions": defined, "stages": {**before, **inputs},
             CHANGED: [*stored.get(CHANGED, []), *changed_after_results(self.out, stored, self.design.config)],
         }  # fmt: skip
+        pending = [s for s in self.stages if s.name not in self.done and self.wanted(s) and self.ready(s)]
+        for stage in pending:
+            if stage.kind == "train":
+                require_start(self.design, stage.name.removeprefix("train/"))
         write_whole(self.out / STATE_FILE, json.dumps(as_json(content), indent=2) + "\n")
         self._attest()
-        pending = [s for s in self.stages if s.name not in self.done and self.wanted(s) and self.ready(s)]
         if not self.config.shard:  # which has a part of the products alone
             self._lost = lost_products(self._by_name, self.done, pending, self.out)
 
@@ -338,15 +343,19 @@ class _Run:
 
     def _inputs(self, stage: Stage) -> dict[str, Any]:
         policy = self.policies.get(stage.name)
-        return stage.inputs | ({"policy": to_plain(policy)} if policy else {})
+        return stage.inputs | ({"policy": to_plain(policy)} if policy else {}) | self._start(stage)
 
     def _key(self, stage: Stage) -> str:
-        policy = self.policies.get(stage.name)
-        if policy is None and stage.kind == "evaluate":  # not to be run now: what it ran with is unknown
+        policy, start = self.policies.get(stage.name), self._starts.get(stage.name)
+        if (policy is None and stage.kind == "evaluate") or start == "":  # what it ran with is not there now
             return next((e.key for e in self.log.read() if e.data.get("stage") == stage.name), "")
         part = {"shard": self.config.shard} if self.config.shard else {}
         policy_data = as_json(to_plain(policy)) if policy else None
-        return digest({"sha": stage.sha, "name": stage.name, "policy": policy_data, **part})
+        return digest({"sha": stage.sha, "name": stage.name, "policy": policy_data, **self._start(stage), **part})
+
+    def _start(self, stage: Stage) -> dict[str, str]:
+        """Return the weights that a training begins with; empty: they are drawn."""
+        return {"start": self._starts[stage.name]} if stage.name in self._starts else {}
 
     def learn_rates(self, name: str) -> None:
         """Store the rates that a whole run on this machine showed, for later plans."""
@@ -374,7 +383,10 @@ class _Run:
     def _done_in_whole(self) -> set[str]:
         """Names of the stages that are finished in the folder of the whole experiment; not those of evaluations."""
         keys = {entry.key for entry in ResultsLog(self.trained / STAGES_FILE).read()}
-        whole = {stage.name: digest({"sha": stage.sha, "name": stage.name, "policy": None}) for stage in self.stages}
+        whole = {
+            stage.name: digest({"sha": stage.sha, "name": stage.name, "policy": None, **self._start(stage)})
+            for stage in self.stages
+        }  # fmt: skip
         return {name for name, key in whole.items() if key in keys}
 
     def train(self, stages: Sequence[Stage], executor: Executor | None) -> None:

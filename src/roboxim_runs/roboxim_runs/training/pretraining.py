@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from roboxim_core.episode import EpisodeInfo
 from roboxim_core.errors import ConfigError
@@ -23,6 +23,8 @@ from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation, Executor
 from roboxim_runs.training.run import TRAINED_ON, TrainingResult, train_policy
+
+Handled = TypeVar("Handled")
 
 SUITE = "pretrain"
 """Suite of ``config/suites`` that is demonstrated."""
@@ -142,7 +144,7 @@ def exposure_of(infos: Iterable[EpisodeInfo]) -> dict[str, Any]:
 
     Returns:
         ``episodes``; and by name the number of episodes with each of ``skills``, ``objects`` (models in any role or as
-        distractors), ``pairs`` (``SKILL MODEL`` of the first role), ``looks``, ``cameras`` (name and place, metres),
+        distractors), ``pairs`` (``SKILL MODEL``, see `handled_in`), ``looks``, ``cameras`` (name and place, metres),
         ``robots``; and ``instructions``, the number of different ones.
     """
     counts: dict[str, Counter[str]] = {
@@ -155,9 +157,7 @@ def exposure_of(infos: Iterable[EpisodeInfo]) -> dict[str, Any]:
         instructions.add(task.instruction)
         counts["skills"][task.skill] += 1
         counts["objects"].update({entity.model for entity in scene.entities})
-        first = next(iter(task.objects.values()), None)
-        if first is not None:
-            counts["pairs"][f"{task.skill} {first.model}"] += 1
+        counts["pairs"].update({f"{task.skill} {handled.model}" for handled in handled_in(task.objects)})
         counts["looks"][task.drawn.get("look", "as the scene")] += 1
         counts["cameras"].update(
             f"{camera.name} " + " ".join(f"{x:.2f}" for x in camera.pose.position) for camera in scene.cameras
@@ -165,3 +165,12 @@ def exposure_of(infos: Iterable[EpisodeInfo]) -> dict[str, Any]:
         counts["robots"][scene.robot.model] += 1
     found: dict[str, Any] = {kind: dict(sorted(counter.items())) for kind, counter in counts.items()}
     return {"episodes": episodes, **found, "instructions": len(instructions)}
+
+
+def handled_in(objects: Mapping[str, Handled]) -> tuple[Handled, ...]:
+    """Return the objects that a task is about: its ``target``, and all of them where no role has this name.
+
+    Args:
+        objects: Role to object.
+    """
+    return (objects["target"],) if "target" in objects else tuple(objects.values())

@@ -1,6 +1,7 @@
 """A pre-training packs a named checkpoint that says what its demonstrations contained."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -42,6 +43,14 @@ def test_the_exposure_is_counted_in_the_episodes():
     assert found["pairs"] == {"pick_up cube": 2, "rotate apple": 1}
     assert found["looks"] == {"bench": 2, "kitchen": 1}
     assert found["instructions"] == 2
+
+
+def test_a_pair_names_what_is_handled_not_what_it_is_put_on():
+    one = info(0, "apple", skill="place_on")
+    plate = PhysicalObject(entity="support", model="plate", name="plate")
+    objects = {"support": plate, **one.task.objects}
+    found = exposure_of([replace(one, task=replace(one.task, objects=objects))])
+    assert found["pairs"] == {"place_on apple": 1}
 
 
 def test_a_name_is_a_files_name():
