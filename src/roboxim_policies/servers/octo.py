@@ -133,8 +133,8 @@ class Octo(Model):
         pictures = {key: picture_of(request, key, self.window, self.shapes[key]) for key in cameras}
         frames = {len(value) for value in pictures.values()}
         mask = np.atleast_1d(np.asarray(request.get(MASK, np.ones(max(frames), bool))))
-        if frames != {len(mask)}:
-            raise RequestError(f"'{MASK}' has {len(mask)} values, the pictures have {sorted(frames)} frames")
+        if mask.dtype.kind not in "biuf" or mask.ndim != 1 or frames != {len(mask)}:
+            raise RequestError(f"'{MASK}' has {mask.size} values, the pictures have {sorted(frames)} frames")
         return {**{key: value[None] for key, value in pictures.items()}, MASK: mask[None].astype(self._mask_type)}
 
     def _task(self, text: str) -> Any:
@@ -146,7 +146,7 @@ class Octo(Model):
 
     def _key(self, request: dict) -> str:
         key = request.get("unnorm_key", self.unnorm_key)
-        if key not in self.statistics:
+        if not isinstance(key, str) or key not in self.statistics:
             raise RequestError(
                 f"no statistics of the dataset '{key}'; the checkpoint has those of {self._names()}. Name one in the "
                 "convention (extras: {unnorm_key: ...}), or with --unnorm-key"

@@ -104,6 +104,7 @@ def test_trainings_without_augmentation_keep_their_identity():
         ({"color_mix": 1.1}, "color_mix must be 0..1"), ({"patches": 33}, "patches must be 0..32"),
         ({"shift_px": -1}, "shift_px must be 0..64"), ({"seed": -1}, "seed must be 0..4294967295, got -1"),
         ({"retry": 7.0}, "retry must be 0..1"), ({"weight_decay": -5.0}, "weight_decay must be 0..1"),
+        ({"image_sizes": {}}, "image_sizes must name at least one camera"),
         ({"brightness": -3.0}, "brightness must be 0..1"), ({"steps": 0}, "steps must be >= 1, got 0"),
     ],
 )  # fmt: skip

@@ -133,6 +133,8 @@ class LearningConfig:
             raise ConfigError(f"ema_decay must be 0..1 (exclusive), got {self.ema_decay}")
         if self.patience and not self.held_out:
             raise ConfigError(f"patience needs held_out: got {self.patience} and {self.held_out}")
+        if self.image_sizes is not None and not self.image_sizes:
+            raise ConfigError("image_sizes must name at least one camera; leave it out to use all of the dataset")
         for camera, side in (self.image_sizes or {}).items():
             if side % 8 or not 16 <= side <= 512:
                 raise ConfigError(f"image_sizes: '{camera}' must be a multiple of 8 in 16..512 px, got {side}")

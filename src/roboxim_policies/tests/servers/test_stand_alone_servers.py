@@ -53,6 +53,22 @@ def octo_model(batch=1, unnorm_key=""):
     return octo.Octo(stand_in.OctoModel(statistics), batch=batch, unnorm_key=unnorm_key)
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"unnorm_key": ["bridge_dataset"]}, "no statistics of the dataset .*'bridge_dataset'"),
+        ({"timestep_pad_mask": np.ones((2, 1), bool)}, "has 2 values, the pictures have .2. frames"),
+        ({"timestep_pad_mask": ["x", "y"]}, "has 2 values"),
+    ],
+)
+def test_octo_refuses_a_request_by_its_part_before_its_batch(change, words):
+    request = {"prompt": "open it", "image_primary": np.zeros((2, 256, 256, 3), np.uint8)}
+    model = octo_model(unnorm_key="bridge_dataset")
+    model.check(request)
+    with pytest.raises(openpi_server.RequestError, match=words):
+        model.check({**request, **change})
+
+
 @contextmanager
 def served(model):
     with openpi_server.Server(model, port=0, quiet=True) as server:
