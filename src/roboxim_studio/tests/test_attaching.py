@@ -1,6 +1,8 @@
 """The studio beside a running graph of its own domain: what it shows, what it edits, and what it leaves as it was."""
 
 import os
+import threading
+from types import SimpleNamespace
 
 import pytest
 from roboxim_interfaces.srv import LoadScene, PlanToJoints, ReleaseEpisode, Tick
@@ -122,6 +124,44 @@ def test_the_graphs_tasks_room_draws_what_the_studio_loads(attached):
     assert "target" in entities
     studio.live._task.value = "/etc/passwd"  # as a forged message of a page would
     assert studio.live.draw() is None
+
+
+class BusyPeer:
+    """A peer whose thread has a message to deliver before anything that is asked of it, as in a fast graph."""
+
+    def __init__(self, expected):
+        self.takes = []
+        self.node = SimpleNamespace(create_subscription=self._create, destroy_subscription=lambda ended: None)
+        self.clients = SimpleNamespace(in_thread=self._in_thread)
+
+    def look_for(self, find, missing):
+        return "/sim/scene"
+
+    def wake(self):
+        pass
+
+    def close(self):
+        pass
+
+    def _create(self, kind, topic, take, profile, raw):
+        self.takes.append(take)
+        return take
+
+    def _in_thread(self, function):
+        own = threading.Thread(target=lambda: ([take(b"") for take in self.takes], function()), daemon=True)
+        own.start()
+        own.join()
+
+
+def test_messages_that_come_while_subscriptions_end_do_not_hang_the_studio(monkeypatch):
+    monkeypatch.setattr("roboxim_bringup.attach.Peer", BusyPeer)
+    monkeypatch.setattr("roboxim_bringup.attach.join_run", lambda run_id, domain: ())
+    live = LiveGraph(SimpleNamespace(id="shown", namespaces=("/",)))
+    live.listen()
+    looker = threading.Thread(target=live.rest, daemon=True)
+    looker.start()
+    looker.join(timeout=20)
+    assert not looker.is_alive()
 
 
 def test_the_only_graph_is_chosen_and_other_runs_are_named(runtime):  # noqa: F811

@@ -147,8 +147,8 @@ class LiveGraph:
 
     def rest(self) -> None:
         """Subscribe to nothing: without a viewer the studio receives nothing."""
+        self._keep(())
         with self._lock:
-            self._keep(())
             self._raw.clear()
             self._scene = None
 
@@ -200,12 +200,12 @@ class LiveGraph:
             if data is None or (self._scene is not None and self._scene[0] == data):
                 return self._scene
             scene = from_msg(deserialize_message(data, SceneSpecMsg), SceneSpec)
-            self._scene = (data, scene, digest(scene))
-            cameras = [f"camera/{camera.name}/image" for camera in scene.cameras]
-            self._keep(("sim/scene", "sim/state", LAST_PATH, *cameras))
-            for topic in cameras:
-                self._subscribe(topic, Image)
-            return self._scene
+            newest = self._scene = (data, scene, digest(scene))
+        cameras = [f"camera/{camera.name}/image" for camera in scene.cameras]
+        self._keep(("sim/scene", "sim/state", LAST_PATH, *cameras))
+        for topic in cameras:
+            self._subscribe(topic, Image)
+        return newest
 
     def _subscribe(self, topic: str, kind: Any) -> None:
         from roboxim_ros import qos
@@ -225,10 +225,13 @@ class LiveGraph:
         self._peer.wake()
 
     def _keep(self, topics: Sequence[str]) -> None:
-        """End the subscriptions to all other topics."""
-        for topic in [topic for topic in self._subscriptions if topic not in topics]:
-            subscription = self._subscriptions.pop(topic)
-            self._raw.pop(topic, None)
+        """End the subscriptions to all other topics. Call it without the lock, which the peer's thread may wait for."""
+        with self._lock:
+            ended = [topic for topic in self._subscriptions if topic not in topics]
+            subscriptions = [self._subscriptions.pop(topic) for topic in ended]
+            for topic in ended:
+                self._raw.pop(topic, None)
+        for subscription in subscriptions:
             self._peer.clients.in_thread(partial(self._peer.node.destroy_subscription, subscription))
 
     def _find_scene(self) -> str | None:
