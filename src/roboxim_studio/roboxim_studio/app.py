@@ -91,6 +91,7 @@ class Studio:
             self.site, self.view, self.bench, self.lab, self.editor, self.compose, self.folder / FOLDER, self.watch,
             lambda: (self.episode.film, self.episode.tick),
         )  # fmt: skip
+        self.compose.driven = lambda: self.drive.driving
         self.live = None if graph is None else LivePanel(self.site, self.view, self.library, graph, self.editor)
         """The panel of the running graph, if there is one."""
         self.view.on_objects_clicked(self._clicked)
@@ -236,6 +237,7 @@ class Studio:
         if before == mode:
             return
         if before == DRIVE:
+            self.drive.pause()
             self.bench.do(self.drive.leave)
         elif before == SCENE:
             self.editor.hide()

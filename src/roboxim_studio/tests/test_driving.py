@@ -113,6 +113,35 @@ def test_a_tap_is_one_tick_and_a_page_that_falls_silent_moves_nothing(studio, tm
     assert f"set apart as {tmp_path.name}/set_apart/" in panel._message.content
 
 
+@pytest.mark.thorough
+def test_no_other_scene_is_shown_or_simulated_while_an_episode_is_driven(studio, tmp_path):
+    studio.drive.bags = tmp_path
+    studio.open_task("pick_cube").result(timeout=120)
+    studio.show("Drive")
+    studio.compose._index.value = 4
+    assert studio.compose.draw().result(timeout=120) is not None
+    drive = studio.drive.begin().result(timeout=120)
+    assert not studio.editor.active
+    assert not studio.editor.folder.visible
+    scene = drive._sim.world.scene
+    for act in (studio.compose.draw, studio.compose.solve):
+        assert act().result(timeout=120) is None
+        assert "an episode is being driven" in studio.compose._message.content
+        assert studio.view.scene == scene
+    assert studio.bench.do(lambda: drive.step(np.array([0.01, 0, 0, 0, 0, 0, 1.0], np.float32))).result(timeout=60)
+    drive.step = lambda *_, **__: 1 / 0
+    studio.drive.receive(1, {"held": ["KeyR"], "pad": None})
+    wait_for(lambda: "ZeroDivisionError" in studio.drive._message.content, "the fault named", 60)
+    del drive.step
+    seq = drive.state.seq
+    studio.drive._running.set()
+    studio.drive.receive(1, {"held": [], "pad": None})
+    studio.drive.receive(1, {"held": ["KeyR"], "pad": None})
+    wait_for(lambda: drive.state.seq == seq + 1, "a tick after a fault", 60)
+    studio.bench.do(studio.drive.leave).result(timeout=60)
+    assert studio.compose.draw().result(timeout=120) is not None
+
+
 def test_words_say_where_the_object_is_in_the_directions_of_the_keys():
     turned = Pose(quat_xyzw=(0.0, 0.0, 0.7071067811865476, 0.7071067811865476))  # the base looks along y
     said = offset_words(turned, (0.0, 0.0, 0.3), (0.003, 0.021, 0.26), "target")

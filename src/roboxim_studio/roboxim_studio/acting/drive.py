@@ -171,6 +171,11 @@ class Drive:
         return self._sim.world.record
 
     @property
+    def runs(self) -> bool:
+        """Whether it takes further actions."""
+        return self._play is not None
+
+    @property
     def film(self) -> Film | None:
         """The episode, when it has ended."""
         film = self._recorder.film

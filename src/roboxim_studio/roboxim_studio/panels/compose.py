@@ -57,6 +57,8 @@ class ComposePanel:
         self._cancel, self._saves = threading.Event(), folder
         self.drawn: Draw | None = None
         """The newest draw."""
+        self.driven: Callable[[], bool] = lambda: False
+        """Returns whether a person drives an episode: the view and the simulator are then its own."""
         gui = self._gui
         self.folder = gui.add_folder("Task", visible=False)
         with self.folder:
@@ -175,6 +177,7 @@ class ComposePanel:
 
     def _draw(self, seed: SeedPath) -> Draw | None:
         try:
+            self._require_free()
             self.drawn = self._lab.draw(self.text, seed)
         except RoboximError as error:
             self._show_message(str(error), alert=True)
@@ -188,7 +191,21 @@ class ComposePanel:
         self._editor.open(from_draw(self.drawn))
         return self.drawn
 
+    def _require_free(self) -> None:
+        """Refuse to take the view and the simulator from an episode that a person drives; on the bench.
+
+        Raises:
+            ConfigError: When there is one.
+        """
+        if self.driven():
+            raise ConfigError("an episode is being driven; end it, or throw it away, before another scene is shown")
+
     def _solve(self, text: str, seed: SeedPath) -> Film | None:
+        try:
+            self._require_free()
+        except RoboximError as error:
+            self._show_message(str(error), alert=True)
+            return None
         self._editor.hide()
         try:
             draw = self._lab.draw(text, seed)

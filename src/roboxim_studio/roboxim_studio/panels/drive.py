@@ -128,6 +128,11 @@ class DrivePanel:
 
     # ---------------------------------------------------------------- episodes
 
+    @property
+    def driving(self) -> bool:
+        """Whether an episode is going on."""
+        return self.drive is not None and self.drive.runs
+
     def prefer_edits(self) -> None:
         """Offer the edited scene first, if there are edits, else the task's."""
         if self._source.value != OPENED:
@@ -148,6 +153,8 @@ class DrivePanel:
             chosen = str(self._partner.value)
             partner = None if chosen == NOBODY else Partner(chosen, self._lab.actor(chosen))
             draw, after = self._scene(seed)
+            self._editor.hide()  # a scene that was drawn beside this panel
+            self._editor.folder.visible = False
             self._view.load(draw.scene)
             self._view.hide_cameras(True)  # the wrist's picture would hide what the gripper is above
             self._judging = []
@@ -191,6 +198,10 @@ class DrivePanel:
             return
         actor = f"{drive.partner.name} acts; T: take over" if drive.partner_acts else "you act; T: hand back"
         self._site.send(hint=f"{drive.instruction}\n{actor}", alert=why)
+
+    def pause(self) -> None:
+        """Execute no further tick; another panel takes the view, and `leave` follows on the bench."""
+        self._running.clear()
 
     def leave(self) -> str:
         """Set a running episode apart; on the bench. Returns where it is, in words; empty: none was running."""
@@ -329,9 +340,10 @@ class DrivePanel:
             self._closed.wait(max(0.0, due - time.monotonic()))
             try:
                 self._bench.do(lambda drive=drive: self._advance(drive)).result()  # type: ignore[misc]
-            except RoboximError as error:
+            except Exception as error:  # this thread must outlive every fault: without it nothing could be driven
                 self._running.clear()
-                self._show_message(str(error), alert=True)
+                named = isinstance(error, RoboximError)
+                self._show_message(str(error) if named else f"{type(error).__name__}: {error}", alert=True)
 
     def _advance(self, drive: Drive) -> None:
         """Execute what is held, on the bench."""
