@@ -17,6 +17,8 @@ RENDERERS = ("photo", "raster", "tiny")
 Decorator = Callable[[Any], Any]
 Number = TypeVar("Number", int, float)
 T = TypeVar("T")
+POSITIVE = click.FloatRange(0, min_open=True)
+"""Type of a number above 0."""
 
 
 class Place(click.ParamType[Path | str]):
@@ -391,10 +393,10 @@ def parse_size(text: str) -> tuple[int, int]:
 
     if text == "as-configured":
         return 0, 0
-    found = re.fullmatch(r"(\d{1,5})(?:x(\d{1,5}))?", text)
-    if not found or not 16 <= int(found[1]) <= 4096 or not 16 <= int(found[2] or found[1]) <= 4096:
+    sides = [_side(part) for part in text.split("x")]
+    if len(sides) > 2 or 0 in sides:
         raise ConfigError(f"an image size is SIZE or WIDTHxHEIGHT with 16 to 4096 px, got '{text}'")
-    return int(found[1]), int(found[2] or found[1])
+    return sides[0], sides[-1]
 
 
 def parse_side(text: str) -> int:
@@ -405,9 +407,15 @@ def parse_side(text: str) -> int:
     """
     from roboxim_core.errors import ConfigError
 
-    if not text.isdecimal():
+    if not (side := _side(text)):
         raise ConfigError(f"the size of a square picture is one number from 16 to 4096 px, got '{text}'")
-    return parse_size(text)[0]
+    return side
+
+
+def _side(text: str) -> int:
+    """Parse the side of a picture [px]; 0: the text is no number from 16 to 4096."""
+    side = int(text) if re.fullmatch("[0-9]{1,5}", text) else 0
+    return side if 16 <= side <= 4096 else 0
 
 
 def is_given(name: str) -> bool:

@@ -17,6 +17,7 @@ from control_msgs.action import GripperCommand
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.action import ActionServer
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from roboxim_interfaces.srv import Tick
 from simulation_interfaces.msg import Result
 from simulation_interfaces.srv import DeleteEntity
@@ -85,7 +86,10 @@ class SmallNode(Node):
         self.latched = self.create_publisher(String, "greeting", qos.LATCHED)
         self.latched.publish(String(data="hello"))
         self.steady = self.create_publisher(String, "steady", qos.EVENTS)
-        self.create_timer(0.02, lambda: self.steady.publish(String(data="tick")))
+        self.hasty = self.create_publisher(
+            String, "hasty", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        )
+        self.create_timer(0.02, lambda: [one.publish(String(data="tick")) for one in (self.steady, self.hasty)])
         self.idle = self.create_publisher(String, "idle", qos.EVENTS)
         self.heard: list[str] = []
         self.create_subscription(String, "ear", lambda msg: self.heard.append(msg.data), qos.EVENTS)
@@ -236,6 +240,22 @@ def test_a_refusal_of_the_simulation_interfaces_is_an_error(small):
     roboxim("service", "call", "/delete_entity", "{entity: cube}")
     with pytest.raises(SimError, match="/delete_entity: no entity 'ghost'"):
         roboxim("service", "call", "/delete_entity", "{entity: ghost}")
+
+
+def test_topics_are_heard_with_the_qos_that_is_offered(small):
+    for name in ("/greeting", "/steady", "/hasty"):
+        assert roboxim("topic", "echo", name, "--once", "--timeout", "60").startswith("{data: ")
+    words = ("topic", "pub", "-r", "100", "-t", "3", "/ear", "std_msgs/msg/String", "{data: psst}")
+    assert roboxim(*words) == "published 3 on /ear\n"
+    assert set(eventually(lambda: small.heard)) == {"psst"}
+
+
+@pytest.mark.ros
+def test_a_rate_that_no_machine_keeps_can_be_ended(small, monkeypatch):
+    monkeypatch.setattr(topic, "PUBLISHING_S", 0.01)
+    monkeypatch.setattr("roboxim_ros.host.wait_for_stop", lambda step, **_: step())
+    words = ("topic", "pub", "-r", "1e9", "/ear", "std_msgs/msg/String", "{data: psst}")
+    assert re.fullmatch(r"published [1-9]\d* on /ear\n", roboxim(*words))
 
 
 @pytest.mark.thorough

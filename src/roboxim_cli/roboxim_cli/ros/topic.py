@@ -11,6 +11,7 @@ import click
 from roboxim_bringup.attach import Peer, absolute, attach_options, attached, on_graph
 from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
+from roboxim_cli.options import POSITIVE
 
 
 @strict.group()
@@ -66,7 +67,7 @@ def info(peer: Peer, name: str, verbose: bool) -> None:
 @click.option("--once", is_flag=True, help="End after the first message.")
 @click.option("--field", help="Print this field only, e.g. robot.joint_positions.")
 @click.option("--full", is_flag=True, help="Do not shorten long arrays.")
-@click.option("--timeout", type=float, help="Fail when no message arrives for this time [s].")
+@click.option("--timeout", type=POSITIVE, help="Fail when no message arrives for this time [s].")
 @on_graph
 def echo(
     peer: Peer, name: str, type_name: str | None, once: bool, field: str | None, full: bool, timeout: float | None
@@ -87,7 +88,7 @@ def echo(
 @command.command("hz")
 @click.argument("name", shell_complete=complete("topics"))
 @click.option("--window", default=100, show_default=True, type=click.IntRange(2), help="Messages to average over.")
-@click.option("--duration", type=float, help="End after this time [s]; default: on Ctrl-C.")
+@click.option("--duration", type=POSITIVE, help="End after this time [s]; default: on Ctrl-C.")
 @on_graph
 def hz(peer: Peer, name: str, window: int, duration: float | None) -> None:
     """Print the rate of a topic, in wall time, once a second."""
@@ -119,6 +120,8 @@ def hz(peer: Peer, name: str, window: int, duration: float | None) -> None:
         )
 
 
+PUBLISHING_S = 0.2
+"""Longest time for which messages are published without a look at whether the command shall end [s]."""
 SILENT_S = 2.0
 """Silence after which a listening command explains what is missing [s]."""
 STILL = (
@@ -147,8 +150,10 @@ def _print_rate(stamps: list[float]) -> None:
 @click.argument("type_name", metavar="TYPE")
 @click.argument("text", metavar="[YAML]", default="")
 @click.option("-1", "--once", is_flag=True, help="Publish one message once a subscriber is connected.")
-@click.option("-r", "--rate", default=1.0, show_default=True, help="Messages per second.")
-@click.option("-n", "--times", default=0, help="End after this number of messages; 0: on Ctrl-C.")
+@click.option("-r", "--rate", type=POSITIVE, default=1.0, show_default=True, help="Messages per second.")
+@click.option(
+    "-t", "--times", type=click.IntRange(0), default=0, help="End after this number of messages; 0: on Ctrl-C."
+)
 @attach_options
 def pub(
     name: str, type_name: str, text: str, once: bool, rate: float, times: int, run_id: str | None, domain: int | None
@@ -170,16 +175,17 @@ def pub(
 
         def step() -> bool:
             nonlocal sent, following
-            while time.monotonic() >= following and not _all_sent():
+            begun = time.monotonic()
+            while following <= (now := time.monotonic()) < begun + PUBLISHING_S and not _all_sent():
                 publisher.publish(message)
                 sent += 1
-                following += 1.0 / rate
+                following = max(following + 1.0 / rate, now - PUBLISHING_S)
             return _all_sent()
 
         def _all_sent() -> bool:
             return sent >= (1 if once else times or float("inf"))
 
-        wait_for_stop(step, period_s=min(0.2, 1.0 / rate))
+        wait_for_stop(step, period_s=min(PUBLISHING_S, 1.0 / rate))
         from rclpy.duration import Duration
 
         publisher.wait_for_all_acked(Duration(seconds=2))
@@ -219,20 +225,13 @@ def _listen(
     """
     import queue
 
-    from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-
     from roboxim_cli.messages import look_up
     from roboxim_core.errors import RequestTimeoutError
 
     found = type_name or peer.type_of("topic", name, peer.topics)
     cls = look_up(found, "msg")
     inbox: queue.Queue[Any] = queue.Queue()
-    qos = QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=100,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.VOLATILE if fresh else _durability(peer, absolute(name)),
-    )
+    qos = _offered(peer, absolute(name), fresh=fresh)
     subscription = peer.node.create_subscription(cls, absolute(name), inbox.put, qos, raw=fresh)
     peer.wake()
     begun = received = time.monotonic()
@@ -257,11 +256,20 @@ def _listen(
         peer.node.destroy_subscription(subscription)
 
 
-def _durability(peer: Peer, name: str) -> Any:
-    """Return transient local when every publisher offers it, so that latched messages are seen."""
-    from rclpy.qos import DurabilityPolicy
+def _offered(peer: Peer, name: str, *, fresh: bool) -> Any:
+    """Return a QoS that every publisher of a topic offers, as ros2 chooses it.
 
-    publishers = peer.node.get_publishers_info_by_topic(name)
-    if publishers and all(end.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for end in publishers):
-        return DurabilityPolicy.TRANSIENT_LOCAL
-    return DurabilityPolicy.VOLATILE
+    A reliable subscriber hears no best-effort publisher, and a transient local one, which sees latched messages, no
+    volatile publisher. Without ``fresh`` the subscriber is transient local where that is possible.
+    """
+    from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+    offers = [end.qos_profile for end in peer.node.get_publishers_info_by_topic(name)]
+    reliable = offers and all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
+    latched = offers and all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=100,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched and not fresh else DurabilityPolicy.VOLATILE,
+    )
