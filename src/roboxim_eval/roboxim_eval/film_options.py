@@ -36,14 +36,17 @@ class FilmOptions:
             if not low <= getattr(self, name) <= high:
                 raise ConfigError(f"{name} of films must be from {low} to {high}, got {getattr(self, name)}")
 
-    def require_scenes(self, episodes: int) -> None:
+    def require_scenes(self, indices: range) -> None:
         """Check that an evaluation has the scenes that are named, before it runs.
 
         Args:
-            episodes: Number of its scenes.
+            indices: Its scenes; those of a shard are in steps.
 
         Raises:
             ConfigError: When one is not among them.
         """
-        if unknown := [scene for scene in self.only if scene not in map(str, range(episodes))]:
-            raise ConfigError(f"no scene {', '.join(unknown)} to film: scenes are numbered from 0 to {episodes - 1}")
+        known = set(map(str, indices))
+        if unknown := [scene for scene in self.only if scene not in known]:
+            steps = f" in steps of {indices.step}: the shard's" if indices.step > 1 else ""
+            numbers = f"from {indices[0]} to {indices[-1]}{steps}"
+            raise ConfigError(f"no scene {', '.join(unknown)} to film: scenes are numbered {numbers}")

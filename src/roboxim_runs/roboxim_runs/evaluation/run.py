@@ -133,7 +133,7 @@ def evaluate(
     text, out = config.task_text(), Path(config.out)
     config = config.sized(text, on_event)
     if config.page:
-        config.film.require_scenes(config.episodes)
+        config.film.require_scenes(config.indices)
     cells = cells_of(text)
     require_cameras(chosen, cells)
     if not config.other_robot:

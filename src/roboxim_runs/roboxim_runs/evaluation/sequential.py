@@ -69,7 +69,7 @@ def evaluate_sequentially(
     config = config.sized(config.task_text(), ignore)
     if not 1 < looks <= config.episodes:
         raise ConfigError(f"looks must be from 2 to the number of episodes ({config.episodes}), got {looks}")
-    config.film.require_scenes(config.episodes)
+    config.film.require_scenes(config.indices)
     plan = SequentialPlan.even(config.episodes, looks)
     seen = []
     for number, scenes in enumerate(plan.looks, start=1):
