@@ -187,7 +187,7 @@ def main() -> None:
         from roboxim_bringup.process import die_with_parent
 
         die_with_parent(int(parent))
-    from roboxim_core.errors import ConfigError, RoboximError
+    from roboxim_core.errors import ConfigError, InvalidRequestError, RoboximError
 
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # an argument may be bytes that are no UTF-8
@@ -202,7 +202,7 @@ def main() -> None:
         click.echo("interrupted", err=True)
         sys.exit(130)
     except RoboximError as error:
-        wrong_usage = isinstance(error, ConfigError)
+        wrong_usage = isinstance(error, ConfigError | InvalidRequestError)
         message = _shortened(str(error))
         click.echo(f"error: {message}" if wrong_usage else f"error: {message} [{error.code.name}]", err=True)
         sys.exit(2 if wrong_usage else 1)

@@ -5,6 +5,7 @@ Every command is made by `command` or `group` of this module, or is a command of
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from typing import Any
@@ -29,7 +30,7 @@ class Strict(click.Command):
         """Refuse repeated options, then parse.
 
         Raises:
-            UsageError: Naming an option that was given twice, or a value that is none of its kind.
+            UsageError: Naming an option that was given twice, or a value that is none of its kind, e.g. NaN.
         """
         try:
             return self._parse_once(ctx, args)
@@ -52,7 +53,13 @@ class Strict(click.Command):
                 names = " or ".join(other.opts[-1] for other in self.params if other.name == option.name)
                 raise click.UsageError(f"{names} was given twice; it takes one value", ctx)
             seen.add(option.name)
-        return super().parse_args(ctx, args)
+        left = super().parse_args(ctx, args)
+        for param in self.params:
+            value = ctx.params.get(str(param.name))
+            for number in value if isinstance(value, tuple) else (value,):
+                if isinstance(number, float) and not math.isfinite(number):  # no range of click's refuses NaN
+                    raise click.BadParameter(f"{number} is no finite number.", ctx, param)
+        return left
 
 
 class Command(Strict):

@@ -10,7 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from roboxim_cli.main import group, main
-from roboxim_core.errors import RoboximError
+from roboxim_core.errors import InvalidRequestError, RoboximError
+from roboxim_datasets.formats import FORMATS
+from roboxim_recorder.export import EXPORTERS
 
 NUMBERS = (
     "0",
@@ -107,6 +109,56 @@ def test_values_at_their_edges_are_taken_or_refused_as_they_are_parsed(name, tmp
                 )
 
 
+SIGNED = {"--threshold", "--ensemble-decay"}
+"""Options whose value may be below 0."""
+
+
+def number_options():
+    """Yield each command that takes a number, with it."""
+    for name, command in LEAVES.items():
+        for param in command.params:
+            if isinstance(param.type, click.types.IntParamType | click.types.FloatParamType):
+                yield name, param
+
+
+def configuration(name):
+    """Return the configuration whose fields are options of a command without ranges of their own."""
+    kind, word, *rest = name.split()
+    if kind == "export":
+        return EXPORTERS[word]().config
+    assert (kind, word) == ("dataset", "convert"), f"roboxim {name} has a number without a range"
+    return FORMATS[rest[0]]().options
+
+
+def test_every_number_is_finite_and_in_a_range(tmp_path, monkeypatch):
+    monkeypatch.setattr("roboxim_cli.named.fresh_catalog", lambda _: None)
+    found = list(number_options())
+    assert len(found) > 100
+    for name, param in found:
+        others = [one for one in LEAVES[name].params if isinstance(one, click.Option) and one.required]
+        rest = [word for one in others if one is not param for word in (one.opts[0], filler(one))]
+        places = [
+            str(tmp_path if getattr(one.type, "dir_okay", True) else __file__)
+            if isinstance(one.type, click.Path)
+            else filler(one)
+            for one in LEAVES[name].params
+            if isinstance(one, click.Argument) and one.required
+        ]
+        ranged = isinstance(param.type, click.IntRange | click.FloatRange)
+        for value in ("nan", "inf", "-inf", *([] if param.opts[0] in SIGNED or not ranged else ["-1"])):
+            if isinstance(param, click.Option):
+                words = [*rest, param.opts[0], value, *places]
+            else:
+                words = [*rest, *places, "--", value]
+            with pytest.raises(click.BadParameter) as refusal:
+                LEAVES[name].make_context(name, words)
+            assert refusal.value.param is param, f"roboxim {name}: {refusal.value.format_message()}"
+            assert refusal.value.exit_code == 2
+        if not ranged and param.opts[0] not in SIGNED:
+            with pytest.raises(InvalidRequestError):
+                configuration(name)(**{param.name: -1})
+
+
 AT_THE_DOOR = ("0", "-1", str(2**63), "9" * 5000, "1e400", "nan", "inf", "", "x" * 5000, "\u202e\U0001f916", "\udcff")
 """Values with which the commands themselves are called."""
 
@@ -145,7 +197,9 @@ def filler(param):
     """Return a harmless value of a required parameter."""
     if isinstance(param.type, click.Choice):
         return str(param.type.choices[0])
-    return "1" if isinstance(param.type, click.types.IntParamType | click.types.FloatParamType) else "missing"
+    if not isinstance(param.type, click.types.IntParamType | click.types.FloatParamType):
+        return "missing"
+    return str(max(1, getattr(param.type, "min", None) or 1))
 
 
 def calls(name):

@@ -165,6 +165,16 @@ def test_a_file_is_written_into_a_folder_that_is_made_and_never_over_a_folder(tm
         (("policy", "serve", "random", "--wire", "openpi", "--size", "128x96"), "one number from 16 to 4096 px"),
         (("robot", "sheet", "--size", "as-configured"), "one number from 16 to 4096 px, got 'as-configured'"),
         (("evaluate", "--policy", "random", "--film-scenes", "1,2,x", "--episodes", "2"), "no scene 2, x to film"),
+        (
+            ("evaluate", "--policy", "random", "--film-scenes", "1", "--episodes", "4", "--shard", "1/2"),
+            "no scene 1 to film: scenes are numbered from 0 to 2 in steps of 2",
+        ),
+        (("tasks", "sample", "--camera", "workspace="), "--camera is NAME or NAME=VALUE"),
+        (("tasks", "sample", "--camera", "wrist", "--camera", "wrist"), "--camera names 'wrist' twice"),
+        (("export", "rlds", "missing", "--camera", "workspace="), "--camera is NAME or NAME=VALUE"),
+        (("export", "rlds", "missing", "--where", "steps<nan"), "compares numbers"),
+        (("export", "rlds", "missing", "--val-fraction", "2"), "val_fraction must be in 0..1"),
+        (("robot", "sheet", "--size", "5000"), "one number from 16 to 4096 px, got '5000'"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )

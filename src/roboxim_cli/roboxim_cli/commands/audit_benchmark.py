@@ -26,10 +26,19 @@ def _options(words: tuple[str, ...]) -> dict[str, Any]:
 
 @strict.command(begins="auditing the benchmark")
 @click.argument("environment")
-@click.option("--seeds", default=8, show_default=True, help="Number of seeds whose scenes are compared.")
-@click.option("--steps", default=20, show_default=True, help="Number of steps of a probe.")
+@click.option(
+    "--seeds", type=click.IntRange(2), default=8, show_default=True, help="Number of seeds whose scenes are compared."
+)
+@click.option("--steps", type=click.IntRange(2), default=20, show_default=True, help="Number of steps of a probe.")
 @option("episodes", default=20, help="Number of complete episodes of each way to act.")
-@click.option("--max-steps", "limit", default=1000, show_default=True, help="Steps after which an episode is given up.")
+@click.option(
+    "--max-steps",
+    "limit",
+    type=click.IntRange(2),
+    default=1000,
+    show_default=True,
+    help="Steps after which an episode is given up.",
+)
 @click.option(
     "--solver", default="", metavar="FILE.py:NAME",
     help="Function that returns a policy, a function of observation and instruction; for the checks of words, replay "

@@ -9,6 +9,7 @@ import click
 from roboxim_bringup.attach import Peer, absolute, attach_options, attached, on_graph
 from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
+from roboxim_cli.options import POSITIVE
 
 
 @strict.group()
@@ -68,7 +69,13 @@ def info(peer: Peer, name: str) -> None:
 @click.argument("name", shell_complete=complete("actions"))
 @click.argument("words", nargs=-1, metavar="[TYPE] [YAML]")
 @click.option("-f", "--feedback", is_flag=True, help="Print the feedback.")
-@click.option("--timeout", default=600.0, show_default=True, help="Longest wait for the result [s].")
+@click.option(
+    "--timeout",
+    type=POSITIVE,
+    default=600.0,
+    show_default=True,
+    help="Longest wait for the result [s].",
+)
 @click.option("--full", is_flag=True, help="Do not shorten long arrays.")
 @attach_options
 def send_goal(

@@ -9,6 +9,7 @@ import click
 from roboxim_bringup.attach import Peer, attach_options, attached, on_graph
 from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
+from roboxim_cli.options import POSITIVE
 
 
 @strict.group()
@@ -54,7 +55,13 @@ def find(type_name: str, run_id: str | None, domain: int | None) -> None:
 @command.command("call")
 @click.argument("name", shell_complete=complete("services"))
 @click.argument("words", nargs=-1, metavar="[TYPE] [YAML]")
-@click.option("--timeout", default=120.0, show_default=True, help="Longest wait for the answer [s].")
+@click.option(
+    "--timeout",
+    type=POSITIVE,
+    default=120.0,
+    show_default=True,
+    help="Longest wait for the answer [s].",
+)
 @click.option("--full", is_flag=True, help="Do not shorten long arrays.")
 @attach_options
 def call(name: str, words: tuple[str, ...], timeout: float, full: bool, run_id: str | None, domain: int | None) -> None:

@@ -10,6 +10,7 @@ from typing import ClassVar
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ErrorCode, RoboximError
+from roboxim_core.limits import ATTEMPTS, require_range
 from roboxim_core.shards import Shard
 from roboxim_runs.episodes.pictures import write_contact_sheet
 from roboxim_runs.episodes.run import EpisodesJob, run_environment, run_episodes
@@ -41,6 +42,18 @@ class GenerationConfig(EpisodesConfig):
     first_try: bool = False
     """Whether to draw an index again if its demonstration needed a second grasp. Exports leave such demonstrations out,
     so that without this a dataset may have fewer episodes in some cells of a mix than in others."""
+
+    def __post_init__(self) -> None:
+        """Check the values that need no other file.
+
+        Raises:
+            ConfigError: As for every run of episodes.
+            InvalidRequestError: On a number out of range.
+        """
+        super().__post_init__()
+        require_range("max_attempts", self.max_attempts, 1, ATTEMPTS)
+        require_range("noise_mm", self.noise_mm, 0, 1000)
+        require_range("noise_mrad", self.noise_mrad, 0, 1000)
 
     def job(self) -> EpisodesJob:
         """Return the episodes to run.

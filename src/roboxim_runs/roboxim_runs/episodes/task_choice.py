@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from math import gcd
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -142,9 +142,9 @@ def _reset_changes(
     """Return the sections of reset components that the options set."""
     changes: dict[str, dict[str, Any]] = {}
     if cameras:
-        pairs = [word.partition("=") for word in cameras]
-        views = {name: {"values": [view]} for name, _, view in pairs if view}
-        changes["cameras"] = {"names": [name for name, _, _ in pairs], **({"views": views} if views else {})}
+        given = camera_words(cameras)
+        views = {name: {"values": [view]} for name, view in given.items() if view}
+        changes["cameras"] = {"names": list(given), **({"views": views} if views else {})}
     if look:
         looks, _, name = look.partition("/")
         changes["look"] = {"set": looks, **({"names": {"values": [name]}} if name else {})}
@@ -158,6 +158,23 @@ def _reset_changes(
         section = changes.setdefault("surfaces", {}).setdefault(surface, {"texture": {"values": []}})
         section["texture"]["values"].append(texture)
     return changes
+
+
+def camera_words(words: Iterable[str]) -> dict[str, str]:
+    """Parse ``CAMERA[=VALUE]`` words; returns camera to value, empty where none is given.
+
+    Raises:
+        ConfigError: When a camera is named twice, or a side of ``=`` is empty, like an unset variable.
+    """
+    found: dict[str, str] = {}
+    for word in words:
+        name, equals, value = (part.strip() for part in word.partition("="))
+        if not name or (equals and not value):
+            raise ConfigError(f"--camera is NAME or NAME=VALUE, neither of them empty, got '{word}'")
+        if name in found:
+            raise ConfigError(f"--camera names '{name}' twice; it has one value")
+        found[name] = value
+    return found
 
 
 def _is_built_in(source: str) -> bool:

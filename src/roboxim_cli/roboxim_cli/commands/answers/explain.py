@@ -15,7 +15,7 @@ from roboxim_cli.commands.answers._policies import policy_options
 @click.argument("number", type=click.IntRange(0), required=False)
 @click.option("--policy", required=True, metavar="SPEC", help="The policy that failed, as evaluate takes it.")
 @policy_options
-@click.option("--repeats", default=5, show_default=True, help="Runs of each change, at least 3.")
+@click.option("--repeats", type=click.IntRange(3), default=5, show_default=True, help="Runs of each change.")
 @click.option("--change", "only", multiple=True, metavar="NAME", help="Try only this change; may be repeated.")
 @click.option(
     "--pairs/--no-pairs", default=True, show_default=True, help="Try pairs of changes if no single one is a cause."

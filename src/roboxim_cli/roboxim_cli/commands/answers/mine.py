@@ -18,9 +18,15 @@ from roboxim_cli.options import option
 @click.option(
     "--factor", "factors", multiple=True, metavar="NAME", help="Vary only this range of the task, by its path."
 )
-@click.option("--first", default=32, show_default=True, help="Points of the first sample.")
-@click.option("--rounds", default=4, show_default=True, help="Rounds of refinement.")
-@click.option("--confirm", default=12, show_default=True, help="Fresh scenes inside a region, and as many outside.")
+@click.option("--first", type=click.IntRange(6), default=32, show_default=True, help="Points of the first sample.")
+@click.option("--rounds", type=click.IntRange(0), default=4, show_default=True, help="Rounds of refinement.")
+@click.option(
+    "--confirm",
+    type=click.IntRange(6),
+    default=12,
+    show_default=True,
+    help="Fresh scenes inside a region, and as many outside.",
+)
 @option("seed")
 @option("size", help="Image size of cameras for which the policy states none.")
 @option("out", help="Folder for bags of failed scenes, two of each region; default: none.")

@@ -28,7 +28,9 @@ def _list_faults(context: click.Context, _: click.Parameter, value: bool) -> Non
 @click.argument("source", type=PATH)
 @option("out", required=True, help="Folder of the copy.")
 @click.option("--fault", required=True, metavar="NAME", help="Fault to plant; --list lists them.")
-@click.option("--share", default=0.1, show_default=True, help="Share of the episodes, above 0 and at most 1.")
+@click.option(
+    "--share", type=click.FloatRange(0, 1, min_open=True), default=0.1, show_default=True, help="Share of the episodes."
+)
 @option("seed", help="Seed of the choice of episodes and of the plants.")
 @click.option(
     "--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_faults, help="List the faults and exit."

@@ -12,7 +12,7 @@ import click
 from roboxim_bringup.attach import attach_options
 from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
-from roboxim_cli.options import option
+from roboxim_cli.options import POSITIVE, option
 
 _bag = click.Path(exists=True, path_type=Path)
 
@@ -106,7 +106,13 @@ def repair(path: Path, out: Path | None, judge: bool) -> None:
 @command.command("play", begins="starting")
 @click.argument("path", type=_bag)
 @option(
-    "-r", "rate", default=1.0, metavar="FACTOR", show_default=True, help="Playback speed, relative to simulated time."
+    "-r",
+    "rate",
+    type=POSITIVE,
+    default=1.0,
+    metavar="FACTOR",
+    show_default=True,
+    help="Playback speed, relative to simulated time.",
 )
 @click.option("-t", "--topic", "topics", multiple=True, help="Play this topic; may be repeated; default: all.")
 @click.option("--namespace", default="", help="Prefix of every topic, e.g. /bag.")
@@ -129,8 +135,6 @@ def play(
     from roboxim_cli.ros.node import membership
     from roboxim_recorder.bag import mcap_file
 
-    if not rate:
-        raise click.UsageError("--rate must be greater than 0")
     file = mcap_file(path)
     types = _types(file)
     with membership("play", run_id, domain, open_network=False, namespace=namespace) as member:
@@ -205,7 +209,7 @@ def _flush(publishers: dict[str, Any]) -> None:
 @command.command("record", begins="starting")
 @click.argument("topics", nargs=-1, shell_complete=complete("topics"))
 @option("out", required=True, help="Folder of the bag, which must not exist.")
-@click.option("--duration", type=click.FloatRange(0, min_open=True), help="End after this time [s]; else on Ctrl-C.")
+@click.option("--duration", type=POSITIVE, help="End after this time [s]; else on Ctrl-C.")
 @attach_options
 def record(topics: tuple[str, ...], out: Path, duration: float | None, run_id: str | None, domain: int | None) -> None:
     r"""Record a running graph, whatever drives it: TOPICS, or all of them, those of your own nodes too.

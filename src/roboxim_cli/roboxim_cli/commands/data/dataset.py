@@ -70,9 +70,12 @@ class _Formats(strict.Group):
             click.Argument(["source"], type=_path),
             click.Option(["--out"], type=_path, required=True, help="Folder of the dataset."),
             *own,
-            click.Option(["--fps"], type=float, default=0.0, help="Steps per second of a source that does not say it."),
             click.Option(
-                ["--depth-unit"], type=float, default=0.0, metavar="METRES",
+                ["--fps"], type=click.FloatRange(0), default=0.0,
+                help="Steps per second of a source that does not say it.",
+            ),
+            click.Option(
+                ["--depth-unit"], type=click.FloatRange(0), default=0.0, metavar="METRES",
                 help="Unit of depth images of a source that does not say it, e.g. 0.001.",
             ),
             click.Option(
@@ -120,7 +123,13 @@ def info(dataset: Path, card: bool, as_json: bool) -> None:
     "--images", type=click.Choice(["auto", "exact", "psnr", "skip"]), default="auto", show_default=True,
     help="Compare images exactly, or by their PSNR; auto: exactly if both datasets are lossless.",
 )  # fmt: skip
-@click.option("--psnr", default=30.0, show_default=True, help="Lowest PSNR of an image that counts as equal [dB].")
+@click.option(
+    "--psnr",
+    type=click.FloatRange(0),
+    default=30.0,
+    show_default=True,
+    help="Lowest PSNR of an image that counts as equal [dB].",
+)
 @click.option("--ignore", multiple=True, metavar="NAME", help="Camera, vector or signal to leave out; may be repeated.")
 def diff(a: Path, b: Path, images: Any, psnr: float, ignore: tuple[str, ...]) -> None:
     """Prove that two datasets of any formats are equal, or name what differs.

@@ -141,12 +141,10 @@ def _export(
 def _camera_keys(words: tuple[str, ...]) -> dict[str, str]:
     """Return camera to image key."""
     from roboxim_datasets.rlds.episodes import USUAL_KEYS
+    from roboxim_runs.episodes.task_choice import camera_words
 
-    found = {}
-    for word in (part for given in words for part in given.split(",")):
-        camera, _, key = word.partition("=")
-        found[camera] = key or USUAL_KEYS.get(camera, camera)
-    return found
+    given = camera_words(part for word in words for part in word.split(","))
+    return {camera: key or USUAL_KEYS.get(camera, camera) for camera, key in given.items()}
 
 
 def _print_report(report: Any) -> None:

@@ -12,7 +12,9 @@ from roboxim_cli.options import episode_options
 
 @strict.command(begins="generating")
 @episode_options(episodes=50, out="runs/demos")
-@click.option("--max-attempts", default=5, show_default=True, help="Largest number of attempts per index.")
+@click.option(
+    "--max-attempts", type=click.IntRange(1), default=5, show_default=True, help="Largest number of attempts per index."
+)
 @click.option(
     "--first-try",
     is_flag=True,
@@ -20,14 +22,14 @@ from roboxim_cli.options import episode_options
 )
 @click.option(
     "--noise-mm",
-    type=click.FloatRange(0),
+    type=click.FloatRange(0, 1000),
     default=3.0,
     show_default=True,
     help="Standard deviation of the noise in free motions, per axis and tick [mm].",
 )
 @click.option(
     "--noise-mrad",
-    type=click.FloatRange(0),
+    type=click.FloatRange(0, 1000),
     default=10.0,
     show_default=True,
     help="Standard deviation of the rotation noise [mrad].",

@@ -50,6 +50,7 @@ def command(
     from roboxim_core.errors import ConfigError
     from roboxim_runs.episodes.pictures import write_contact_sheet
     from roboxim_runs.episodes.rerendering import RerenderConfig, find_bags, rerender
+    from roboxim_runs.episodes.task_choice import camera_words
 
     bags = find_bags(sources)
     for word in textures:
@@ -58,7 +59,7 @@ def command(
     width, height = parse_size(size)
     lighting = _lighting(lights)
     config = RerenderConfig(
-        renderer=renderer, cameras={name: file for name, _, file in (word.partition("=") for word in cameras)},
+        renderer=renderer, cameras=camera_words(cameras),
         width=width, height=height, depth=depth, segmentation=segmentation,
         look=_look(look) if look else None,
         lights=lighting.lights if lighting else None, ambient=lighting.ambient if lighting else None,
