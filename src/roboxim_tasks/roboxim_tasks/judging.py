@@ -15,10 +15,9 @@ from roboxim_tasks.measures import (
     Condition,
     Conditions,
     Evaluator,
-    Measure,
     joints_moved,
     largest_shift,
-    lift,
+    lowest_lift,
     toppled,
 )
 from roboxim_tasks.roles import STAY, task_distractors
@@ -130,12 +129,11 @@ def surroundings(task: TaskSpec, initial: StateRecord) -> Conditions:
     named = {thing.entity for thing in task.objects.values()} - {thing.entity for thing in task_distractors(task)}
     joints = {str(step.arguments.get("joint", "")) for step in steps}
     movable = {(name, joint) for name in named for joint in joints}
-    falls = [lift(entity, initial) for entity in others]
-    lowest = Measure(name="others_lift_m", of=lambda state: min((fall.of(state) for fall in falls), default=0.0))
     return Conditions(
         (
             Condition(
-                name="others_on_table", measure=lowest, least=-FALLEN_M, reason="pushed_off_table", fatal=True
+                name="others_on_table", measure=lowest_lift(others, initial, "others_lift_m"), least=-FALLEN_M,
+                reason="pushed_off_table", fatal=True,
             ),
             Condition(
                 name="others_upright", measure=toppled(others, initial, "others_toppled_deg"), most=TOPPLED_DEG,

@@ -19,7 +19,7 @@ import numpy as np
 from roboxim_core.episode.start import SPEED_M_S, SPIN_RAD_S
 from roboxim_core.poses import Array, distance
 from roboxim_core.state import StateRecord
-from roboxim_tasks.motion import ROBOT, TABLE
+from roboxim_tasks.motion import FLOOR, ROBOT, TABLE
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -144,7 +144,7 @@ def above(value: float) -> float:
 
 
 def fallen_off(height_gain: Measure, name: str = "not_fallen") -> Condition:
-    """Return the fatal condition that an object has not fallen off the table, given its `lift`."""
+    """Return the fatal condition that an object has not fallen off the table, given its `lowest_lift`."""
     return Condition(
         name=name, measure=height_gain, least=-FALLEN_M,
         reason="fell_off_table", fatal=True,
@@ -196,6 +196,28 @@ def highest_lift(entities: Iterable[str], initial: StateRecord, name: str = "oth
         name=name,
         of=lambda state: max((state.entity(n).pose.position[2] - z for n, z in starts.items()), default=0.0),
     )
+
+
+def lowest_lift(entities: Iterable[str], initial: StateRecord, name: str = "lift_m") -> Measure:
+    """Measure the smallest height gain of several objects since tick 0 [m]; 0 if there are none.
+
+    An object that did not stand on the table at tick 0, e.g. on a shelf or in the hand, may be taken down: its gain is
+    at least -`FALLEN_M` until it touches the floor.
+    """
+    starts = {entity: (initial.entity(entity).pose.position[2], _is_up(initial, entity)) for entity in entities}
+
+    def gain(state: StateRecord, entity: str) -> float:
+        height, up = starts[entity]
+        found = state.entity(entity).pose.position[2] - height
+        return max(found, -FALLEN_M) if up and not state.contacts_between(entity, FLOOR) else found
+
+    return Measure(name=name, of=lambda state: min((gain(state, entity) for entity in starts), default=0.0))
+
+
+def _is_up(state: StateRecord, entity: str) -> bool:
+    """Return whether an object touches something, and not the table."""
+    touched = {body for c in state.contacts if entity in (c.body_a, c.body_b) for body in (c.body_a, c.body_b)}
+    return bool(touched) and TABLE not in touched
 
 
 def pressing_links(entity: str, force_n: float) -> Measure:

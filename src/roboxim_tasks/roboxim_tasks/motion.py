@@ -15,6 +15,7 @@ from roboxim_core.state import EntityState, StateRecord
 GRIPPER = "gripper"
 ROBOT = "robot"
 TABLE = "table"
+FLOOR = "floor"
 ANYTHING = ""
 
 

@@ -137,3 +137,15 @@ def test_what_touches_the_table_does_not_rest_on_the_support():
     on = record(1, thing(), OTHER, contacts=(touch("distractor_1"),))
     beside = record(1, thing(), OTHER, contacts=(touch("distractor_1"), touch("table")))
     assert [rests_on(state, "target", "distractor_1") for state in (on, beside)] == [True, False]
+
+
+@pytest.mark.parametrize(("role", "reason"), [("target", "fell_off_table"), ("other", "pushed_off_table")])
+@pytest.mark.parametrize("carrier", ["robot", "distractor_1"], ids=["in the hand", "on a shelf"])
+def test_what_is_taken_down_has_not_fallen_off_the_table_until_it_lies_on_the_floor(carrier, role, reason):
+    named = PhysicalObject(entity="target" if role == "target" else "distractor_1", model="cube", name="cube")
+    judge = Judge(replace(TASK, objects={"target": named}))
+    judge.start(record(0, thing(at=(0.5, 0.0, 0.4)), OTHER, contacts=(touch(carrier), touch("table", "distractor_1"))))
+    for seq, below in enumerate(("robot", "table"), start=1):
+        assert not judge.step(record(seq, thing(), OTHER, contacts=(touch(below),))).failed
+    verdict = judge.step(record(3, thing(at=(0.5, 0.9, -0.7)), OTHER, contacts=(touch("floor"),)))
+    assert (verdict.failed, verdict.reason) == (True, reason)

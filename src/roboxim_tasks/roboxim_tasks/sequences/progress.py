@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import STEP, STEPS_DONE, STEPS_SHARE
-from roboxim_tasks.measures import Assessment, Conditions, Evaluator, Measure, fallen_off, lift
+from roboxim_tasks.measures import Assessment, Conditions, Evaluator, fallen_off, lowest_lift
 from roboxim_tasks.sequences.steps import ORDER, own_objects, steps_of, superseded
 from roboxim_tasks.skills.base import SKILLS
 
@@ -59,9 +59,8 @@ class Progress:
         self._steps = [_Step(s, not superseded(s, rest)) for s, rest in zip(steps, later, strict=True)]
         self._handled: set[str] = set()
         targets = {own_objects(step)["target"] for step in steps if "target" in step.objects}
-        falls = [lift(entity, initial) for entity in sorted(targets)]
-        lowest = Measure(name="targets_lift_m", of=lambda state: min((f.of(state) for f in falls), default=0.0))
-        self._fallen = Conditions((fallen_off(lowest),), hold_s=0.0)
+        falls = lowest_lift(sorted(targets), initial, "targets_lift_m")
+        self._fallen = Conditions((fallen_off(falls),), hold_s=0.0)
         self._begin(initial)
         self.hold_s = max((s.evaluator or SKILLS[s.task.skill].evaluator(s.task, initial)).hold_s for s in self._steps)
 

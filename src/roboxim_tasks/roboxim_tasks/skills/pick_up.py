@@ -27,6 +27,7 @@ from roboxim_tasks.measures import (
     fallen_off,
     highest_lift,
     lift,
+    lowest_lift,
     pressing_links,
     table_force,
 )
@@ -91,7 +92,7 @@ class PickUp(Skill):
         height, fingers = lift(target, initial), pressing_links(target, parameters.finger_force_n)
         return Conditions(
             (
-                fallen_off(height),
+                fallen_off(lowest_lift((target,), initial)),
                 Condition(
                     name="others_left", measure=highest_lift(others, initial), most=parameters.lift_m,
                     reason="wrong_object_lifted",

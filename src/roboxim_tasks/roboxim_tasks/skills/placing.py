@@ -14,7 +14,7 @@ from roboxim_core.models.description import ObjectModel, Region
 from roboxim_core.poses import Pose
 from roboxim_core.state import StateRecord
 from roboxim_tasks.handling import DROP_M, let_go, not_tossed, set_down
-from roboxim_tasks.measures import Condition, at_rest, fallen_off, lift
+from roboxim_tasks.measures import Condition, at_rest, fallen_off, lowest_lift
 from roboxim_tasks.motion import TABLE, ExpertScene, Grasp, Stage, grasps_of
 from roboxim_tasks.script import Script
 
@@ -164,9 +164,9 @@ def lies_still(
         drop_m: Largest free fall of the object [m].
         may_bounce: Whether it may fall against walls, which make it fast, as in a container.
     """
-    fallen = [fallen_off(lift(target, initial))]
+    fallen = [fallen_off(lowest_lift((target,), initial))]
     if reference:
-        gain = lift(reference, initial, "reference_lift_m")
+        gain = lowest_lift((reference,), initial, "reference_lift_m")
         fallen.append(fallen_off(gain, "reference_not_fallen"))
     handled = (set_down(target, drop_m), not_tossed(target, may_bounce=may_bounce))
     return (*fallen, *conditions, *handled, *let_go(target), *at_rest(target))
