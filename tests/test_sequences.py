@@ -182,3 +182,21 @@ def test_cameras_see_all_objects_of_a_long_task(tmp_path):
         draw = graph.ports.scenes.draw(DRAWN, Path(named_config("tasks", "tidy_up")).read_text())
     assert len(draw.task.objects) == 5
     assert draw.scene.cameras
+
+
+CUBE, OTHER = ({"models": {"values": ["cube"]}, "modifiers": {"color": {"values": [c]}}} for c in ("red", "blue"))
+BOWL = {"models": {"values": ["bowl"]}}
+ABOUT_ONE = {
+    "turned_twice": ([{"skill": "rotate"}, {"skill": "rotate"}], {}),
+    "taken_from_another": ([{"skill": "stack", "roles": {"support": "other"}}, {"skill": "pick_up"}], {"other": OTHER}),
+    "lifted_and_put": ([{"skill": "pick_up"}, {"skill": "put_into", "roles": {"container": "bowl"}}], {"bowl": BOWL}),
+}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ABOUT_ONE)
+def test_expert_goes_on_with_the_object_of_the_step_before(tmp_path, name):
+    steps, others = ABOUT_ONE[name]
+    change = {"steps": steps, "objects": {"target": CUBE, **others}, "distractors": {}}
+    (result,) = play(tmp_path, "two_steps", **change)
+    assert (result.outcome, result.reason) == ("success", "")

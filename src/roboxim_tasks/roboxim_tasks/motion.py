@@ -54,7 +54,7 @@ class ExpertScene:
     task: TaskSpec
     """The task."""
     scene: SceneSpec
-    """The scene."""
+    """The scene; its objects are where they were at the begin of the task, or of the step at hand."""
     state: StateRecord
     """Present state."""
     library: ModelLibrary
@@ -177,6 +177,11 @@ def _symmetric_grasps(model: ObjectModel, one_jaw: bool) -> tuple[Pose, ...]:
                     seen.append(pose)
         found += seen
     return tuple(found)
+
+
+def with_poses(scene: SceneSpec, state: StateRecord) -> SceneSpec:
+    """Return a scene with every object where it is in a state."""
+    return replace(scene, entities=tuple(replace(e, pose=state.entity(e.name).pose) for e in scene.entities))
 
 
 def shifted(pose: Pose, z_m: float) -> Pose:

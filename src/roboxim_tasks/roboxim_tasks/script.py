@@ -30,6 +30,7 @@ from roboxim_tasks.motion import (
     GRIPPER,
     JAW_CLEARANCE_M,
     RELEASE_CLEARANCE_M,
+    ROBOT,
     TABLE,
     ExpertScene,
     Grasp,
@@ -136,14 +137,13 @@ class Script:
         """Stay."""
         self._add(Stage(name=name, duration_s=duration_s))
 
-    def pick(self, entity: str, grasp: Grasp | None, *, lift_m: float = LIFT_M, on: str = TABLE) -> None:
+    def pick(self, entity: str, grasp: Grasp | None, *, lift_m: float = LIFT_M) -> None:
         """Approach, descend, close, lift. An object that the gripper already holds is only lifted, if still needed.
 
         Args:
             entity: Entity to grasp.
             grasp: The grasp; none when the entity is already held.
-            lift_m: Height of the lift [m]; 0: no lift.
-            on: Entity that it lies on, which it may touch during the lift.
+            lift_m: Height of the lift [m]; 0: no lift. The object may touch the table then, and what it touches now.
         """
         if grasp is not None and self.held != entity:
             self.opening, self.release_opening = grasp.opening, grasp.release_opening
@@ -154,7 +154,10 @@ class Script:
             self.held = entity
         if lift_m and not self.scene.lifted:
             lifted = shifted(self.pose, lift_m)
-            self.move(lifted, name="lift", speed=SLOW, touching=((entity, on),), lifts=True)
+            touched = {body for c in self.scene.state.contacts if entity in (c.body_a, c.body_b)
+                       for body in (c.body_a, c.body_b)}  # fmt: skip
+            others = sorted({TABLE} | touched - {entity, ROBOT})
+            self.move(lifted, name="lift", speed=SLOW, touching=tuple((entity, on) for on in others), lifts=True)
 
     def place(self, pose_object: Pose, *, onto: str = TABLE, drop_m: float = 0.002) -> None:
         """Carry the held entity above a pose, lower it, release it, retreat.

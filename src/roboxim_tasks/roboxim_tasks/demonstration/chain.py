@@ -7,7 +7,7 @@ from dataclasses import replace
 from roboxim_core.errors import PolicyError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_tasks.demonstration.solver import NoMotionError, Solution, Solver
-from roboxim_tasks.motion import ExpertScene
+from roboxim_tasks.motion import ExpertScene, with_poses
 from roboxim_tasks.sequences import steps_of
 from roboxim_tasks.skills import SKILLS
 
@@ -65,4 +65,5 @@ def after(view: ExpertScene, solution: Solution, arm: ArmKinematics) -> ExpertSc
         moved[last.held] = replace(view.state.entity(last.held), pose=tcp @ last.held_in_tcp)
     entities = tuple(moved.get(entity.name, entity) for entity in view.state.entities)
     state = replace(view.state, robot=robot, entities=entities)
-    return replace(view, state=state, held=last.held, lifted=bool(last.held))
+    scene = with_poses(view.scene, state)
+    return replace(view, scene=scene, state=state, held=last.held, lifted=bool(last.held))

@@ -22,13 +22,13 @@ from roboxim_core.kinematics import delta_between
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import RECOVERY, ActionChunk, EpisodeStart, ObservationWindow, PolicyDescription
 from roboxim_core.poses import distance
-from roboxim_core.specs import TaskSpec
+from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.demonstration.planning import PlannerPort
 from roboxim_tasks.demonstration.reference import SpeedConfig
 from roboxim_tasks.demonstration.solvable import Solvability
 from roboxim_tasks.demonstration.solver import Solution, Solver
-from roboxim_tasks.motion import ROBOT, ExpertScene, Stage
+from roboxim_tasks.motion import ROBOT, ExpertScene, Stage, with_poses
 from roboxim_tasks.sequences.progress import Progress
 from roboxim_tasks.sequences.steps import steps_of
 from roboxim_tasks.skills import SKILLS
@@ -80,6 +80,8 @@ class Expert:
         self._steps: tuple[TaskSpec, ...] = ()
         self._number = 0
         """Number of the step at hand, from 0."""
+        self._scene = SceneSpec()
+        """The scene, with its objects where they were at the begin of the step at hand."""
         self._progress: Progress | None = None
 
     def describe(self) -> PolicyDescription:
@@ -107,7 +109,7 @@ class Expert:
                 f"no expert for skill '{unknown[0]}'; expected one of: {', '.join(SKILLS)}", ErrorCode.NO_EXPERT
             )
         self._start, self._solution, self._recoveries = start, None, 0
-        self._steps, self._number, self._progress = steps, 0, None
+        self._steps, self._number, self._progress, self._scene = steps, 0, None, start.scene
 
     def act(self, window: ObservationWindow) -> ActionChunk:
         """Return the delta to the reference's next pose.
@@ -122,9 +124,8 @@ class Expert:
         if state is None:
             raise TaskError("the expert needs the state record in the observation; it is a privileged policy")
         assert self._start.task is not None
-        assert self._start.scene is not None
         view = ExpertScene(
-            task=self._start.task, scene=self._start.scene, state=state, library=self._library, direct=self._direct
+            task=self._start.task, scene=self._scene, state=state, library=self._library, direct=self._direct
         )
         if len(self._steps) > 1:
             view = self._go_on(view)
@@ -158,8 +159,10 @@ class Expert:
             return step
         if self._progress.done[self._number]:
             self._number += 1
-            last = self._solution.stages[-1]
-            step = replace(view, task=self._steps[self._number], held=last.held, lifted=bool(last.held))
+            last, self._scene = self._solution.stages[-1], with_poses(view.scene, state)
+            step = replace(
+                view, task=self._steps[self._number], scene=self._scene, held=last.held, lifted=bool(last.held)
+            )
             self._solution, self._first_seq = self._plan(step), state.seq
         elif waited > DONE_WAIT_S and self._recoveries < MAX_RECOVERIES:
             self._recoveries += 1

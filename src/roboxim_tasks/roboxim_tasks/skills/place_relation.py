@@ -26,12 +26,12 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose
-from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
+from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
 from roboxim_tasks.handling import DROP_M
 from roboxim_tasks.measures import Condition, Conditions, Measure, above, offset, shift, table_force
-from roboxim_tasks.motion import ExpertScene, Stage
+from roboxim_tasks.motion import ExpertScene, Stage, with_poses
 from roboxim_tasks.reach import downward_reachable, graspable, start_clear
 from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 from roboxim_tasks.sampling.placement import Room
@@ -150,7 +150,7 @@ class PlaceRelation(Skill):
         target, reference = (scene.task.objects[role].entity for role in ("target", "reference"))
         parameters: RelationParameters = parameters_of(scene.task, RelationParameters)
         direction = np.array([parameters.direction_x, parameters.direction_y])
-        now = _with_poses(scene.scene, scene.state)
+        now = with_poses(scene.scene, scene.state)
         goals = free_goals(now, target, reference, direction, parameters, scene.library)
         return put(scene, target, [scene.in_base(goal) for goal in goals])
 
@@ -263,11 +263,6 @@ def half_extent(model: ObjectModel, rotation: Rotation, direction: Array) -> flo
 def _components(away: Array, direction: Array) -> tuple[float, float]:
     along = float(away @ direction)
     return along, float(abs(away[0] * direction[1] - away[1] * direction[0]))
-
-
-def _with_poses(scene: SceneSpec, state: StateRecord) -> SceneSpec:
-    entities: list[EntitySpec] = [replace(e, pose=state.entity(e.name).pose) for e in scene.entities]
-    return replace(scene, entities=tuple(entities))
 
 
 @register
