@@ -3,7 +3,7 @@ from collections import Counter
 import pytest
 
 from roboxim_core.config import config_dir, to_plain
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, TaskError
 from roboxim_tasks.config import TaskMix, load_task_config, parse_task_config, task_config
 
 
@@ -266,3 +266,24 @@ def test_the_order_of_a_mix_is_that_of_its_shares():
     mix = parse_task_config("cells: [{tasks: [pick_cube], episodes: 7}, {tasks: [stack, place_on], episodes: 4}]")
     places = sorted(((k + 0.5) / count, cell, k) for cell, count in enumerate(mix.counts) for k in range(count))
     assert list(mix.order) == [(cell, k) for _, cell, k in places]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["{skill: open_drawer, parameters: {open_m: 0.15}}", "{skill: open_door, parameters: {open_rad: 2}}",
+     "{skill: turn_knob, parameters: {turn_rad: 3}}", "{skill: flip_switch, lenient: {flip_rad: 0.8}}",
+     "{skill: open_drawer, arguments: {open_m: {values: [0.1, 0.3]}}}"],
+)  # fmt: skip
+def test_a_goal_beyond_the_travel_of_a_joint_is_refused(text):
+    with pytest.raises(ConfigError, match=r"needs more than the .* of the"):
+        parse_task_config(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["{skill: turn_knob, reset: {joints: {target: {values: [0.2]}}}}",
+     "{skill: flip_switch, reset: {joints: {target: {values: [0.5]}}}}"],
+)  # fmt: skip
+def test_a_joint_that_stands_too_near_to_its_end_is_not_drawn(text, draw):
+    with pytest.raises(TaskError, match=r"far_enough 100.*reset.joints"):
+        draw(0, parse_task_config(text))

@@ -47,9 +47,10 @@ def quick_findings(scene: SceneSpec, context: ResetContext) -> Iterator[Finding]
         if not constraint.holds(scene):
             role = constraint.name.rsplit("_", 1)[0]
             thing = context.task.objects.get(role)
+            why = constraint.why(scene) if constraint.why else f"the task's constraint {constraint.name} does not hold"
             yield Finding(
                 constraint=constraint.name, entity=thing.entity if thing else "",
-                message=f"the task's constraint {constraint.name} does not hold",
+                message=why,
             )  # fmt: skip
     wording = Wording.of_task(context.task, skill_of(context.task).roles, library)
     for thing in wording.mistakable(scene, context.task):

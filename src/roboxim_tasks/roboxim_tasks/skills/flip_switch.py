@@ -16,11 +16,12 @@ Non-obvious:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from roboxim_core.errors import ConfigError
-from roboxim_core.models.description import JointModel
+from roboxim_core.models.description import JointModel, ObjectModel
 from roboxim_core.poses import Pose
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
@@ -39,7 +40,7 @@ from roboxim_tasks.reach import reaches_in_lines, start_clear
 from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
-from roboxim_tasks.skills.parts import APPROACH_M, DWELL_S, Part, generate_part_task, part_in
+from roboxim_tasks.skills.parts import APPROACH_M, DWELL_S, Part, beyond_travel, far_enough, generate_part_task, part_in
 
 HEIGHT_M = 0.026
 """Height of the tool centre point above the lever's pivot [m]."""
@@ -86,12 +87,16 @@ class FlipSwitch(Skill):
     max_steps = 120
     Parameters = FlipSwitchParameters
 
+    def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
+        """Return that the lever does not turn so far; else an empty text."""
+        return beyond_travel(models["target"], models["target"].handles[0].joint, "flip_rad", parameters.flip_rad)
+
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task and record the names of the lever's joint and of the robot's fingers."""
         return generate_part_task(context, fingers=True)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """Require that the arm can reach the lever's side and push it over."""
+        """Require a lever that can turn so far, and that the arm can reach its side and push it over."""
         entity = context.task.objects["target"].entity
 
         def reachable(scene: SceneSpec) -> bool:
@@ -103,7 +108,12 @@ class FlipSwitch(Skill):
                 for begin, end in (at.push(yaw) for yaw in YAWS)
             )
 
-        return (Constraint(name="target_reachable", holds=reachable), start_clear(context))
+        flip_rad = parameters_of(context.task, FlipSwitchParameters).flip_rad
+        return (
+            far_enough(context, "target", lambda part: abs(lever_at(part).goal_rad - part.position), flip_rad),
+            Constraint(name="target_reachable", holds=reachable),
+            start_clear(context),
+        )
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
         """Go down beside the lever with closed fingers, push it over, go up; the nearest heading comes first."""

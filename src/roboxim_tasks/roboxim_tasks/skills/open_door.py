@@ -12,10 +12,12 @@ Non-obvious:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.models.description import ObjectModel
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
@@ -26,6 +28,7 @@ from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.parts import (
     BEHIND_THE_MIDDLE,
+    beyond_travel,
     generate_part_task,
     handle_reachable,
     not_there_already,
@@ -71,6 +74,10 @@ class OpenDoor(Skill):
     rotations = 3
     max_steps = 150
     Parameters = OpenDoorParameters
+
+    def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
+        """Return that the door does not open so far; else an empty text."""
+        return beyond_travel(models["target"], models["target"].handles[0].joint, "open_rad", parameters.open_rad)
 
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task."""

@@ -31,6 +31,7 @@ from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
 from roboxim_tasks.skills.parts import (
     BEHIND_THE_MIDDLE,
+    beyond_travel,
     generate_part_task,
     handle_of,
     handle_reachable,
@@ -89,6 +90,11 @@ class OpenDrawer(Skill):
         """Refuse a drawer that one of the models lacks."""
         for model in models["target"]:
             handle_of(model, parameters.drawer)
+
+    def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
+        """Return that the drawer does not open so far; else an empty text."""
+        joint = handle_of(models["target"], parameters.drawer).joint
+        return beyond_travel(models["target"], joint, "open_m", parameters.open_m)
 
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task."""

@@ -253,6 +253,42 @@ def way_clear(context: ResetContext, role: str, goal: float = 0.0) -> Constraint
     return Constraint(name="way_clear", holds=holds)
 
 
+def beyond_travel(model: ObjectModel, joint: str, name: str, way: float) -> str:
+    """Return that a joint of an object does not move by more than a way; empty if it does.
+
+    Args:
+        model: The object.
+        joint: Its joint.
+        name: Parameter with the way.
+        way: The way [m or rad].
+    """
+    found = next(one for one in model.joints if one.name == joint)
+    travel, unit = found.upper - found.lower, "m" if found.kind == "prismatic" else "rad"
+    return f"{name} {way:g} needs more than the {travel:g} {unit} of the {model.name}" if way >= travel else ""
+
+
+def far_enough(context: ResetContext, role: str, left: Callable[[Part], float], way: float) -> Constraint:
+    """Return the constraint that a part can move by more than a way from where it was drawn.
+
+    Args:
+        context: The reset.
+        role: Role of the object.
+        left: Returns how far the part can move [m or rad].
+        way: The way [m or rad].
+    """
+
+    def why(scene: SceneSpec) -> str:
+        spec, part = _drawn(context, scene, role)
+        return (
+            f"the {part.model.name} can move by {left(part):.3g} from {part.position:.3g}, and has to by more than "
+            f"{way:g}; see the task's 'reset.joints'"
+        )
+
+    return Constraint(
+        name="far_enough", holds=lambda scene: left(_drawn(context, scene, role)[1]) > way, why=why
+    )  # fmt: skip
+
+
 def not_there_already(context: ResetContext, role: str, there: Callable[[float], bool]) -> Constraint:
     """Return the constraint that a part is not yet at its goal.
 

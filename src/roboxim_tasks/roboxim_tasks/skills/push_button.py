@@ -17,8 +17,9 @@ Non-obvious:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.articulation import object_link_poses
@@ -35,6 +36,7 @@ from roboxim_tasks.roles import task_objects
 from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
+from roboxim_tasks.skills.parts import beyond_travel
 
 APPROACH_M = 0.08
 DEPTH_M = 0.011
@@ -72,6 +74,10 @@ class PushButton(Skill):
     templates = ("Push the {target}", "Press the {target}", "Press down on the {target}")
     max_steps = 100
     Parameters = PushButtonParameters
+
+    def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
+        """Return that the button does not go down so far; else an empty text."""
+        return beyond_travel(models["target"], models["target"].press_points[0].joint, "travel_m", parameters.travel_m)
 
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task and record the names of the button's joint and of the robot's fingers."""

@@ -11,10 +11,12 @@ Non-obvious: the way of the knob counts only in ticks in which nothing but finge
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.models.description import ObjectModel
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
@@ -24,7 +26,15 @@ from roboxim_tasks.motion import ExpertScene, Stage
 from roboxim_tasks.reach import start_clear
 from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
-from roboxim_tasks.skills.parts import Part, generate_part_task, handle_reachable, operated, part_in
+from roboxim_tasks.skills.parts import (
+    Part,
+    beyond_travel,
+    far_enough,
+    generate_part_task,
+    handle_reachable,
+    operated,
+    part_in,
+)
 from roboxim_tasks.skills.rotate import DIRECTIONS
 
 OVERSHOOT_RAD = 0.15
@@ -56,6 +66,10 @@ class TurnKnobParameters:
         if self.turn_rad <= 0 or self.hold_s < 0:
             raise ConfigError(f"needs turn_rad > 0 and hold_s >= 0, got {self}")
 
+    def left(self, part: Part) -> float:
+        """Return how far a knob can turn in the direction [rad]."""
+        return part.joint.upper - part.position if DIRECTIONS[self.direction] > 0 else part.position - part.joint.lower
+
     def goal(self, part: Part) -> float:
         """Return the position to which the expert turns a knob [rad]."""
         goal = part.position + DIRECTIONS[self.direction] * (self.turn_rad + OVERSHOOT_RAD)
@@ -76,14 +90,22 @@ class TurnKnob(Skill):
     max_steps = 120
     Parameters = TurnKnobParameters
 
+    def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
+        """Return that the knob does not turn so far; else an empty text."""
+        return beyond_travel(models["target"], models["target"].handles[0].joint, "turn_rad", parameters.turn_rad)
+
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a task."""
         return generate_part_task(context, words={"direction": context.parameters.direction}, fingers=True)
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
-        """Require that the arm can grasp the knob and turn it."""
+        """Require that the knob can turn so far, and that the arm can grasp and turn it."""
         parameters: TurnKnobParameters = parameters_of(context.task, TurnKnobParameters)
-        return (handle_reachable(context, "target", parameters.goal), start_clear(context))
+        return (
+            far_enough(context, "target", parameters.left, parameters.turn_rad),
+            handle_reachable(context, "target", parameters.goal),
+            start_clear(context),
+        )
 
     def stages(self, scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
         """Grasp the knob, turn it, let go, withdraw."""
