@@ -1,6 +1,6 @@
 import itertools
 import threading
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -10,10 +10,12 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
+from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec, TaskSpec
 from roboxim_studio.browser import wait_for
 from roboxim_studio.editing import document as edits
 from roboxim_studio.episode.film import read_film
 from roboxim_tasks.config import parse_task_config
+from roboxim_tasks.skills import SKILLS
 
 LIBRARY = ModelLibrary()
 
@@ -29,6 +31,19 @@ def editor(studio, document):
     studio.show("Scene")
     studio.editor.open(document)
     return studio.editor
+
+
+def test_a_document_has_the_conditions_of_its_episode():
+    can = EntitySpec(name="target", model="soda_can", pose=Pose(position=(0.5, 0.0, 0.06)))
+    thing = PhysicalObject(entity="target", model="soda_can", name="soda can")
+    task = TaskSpec(
+        skill="rotate", objects={"target": thing}, instruction="Rotate the soda can",
+        arguments={**asdict(SKILLS["rotate"].Parameters()), "target_upright": True},
+    )  # fmt: skip
+    document = edits.from_episode(task, SceneSpec(entities=(can,)))
+    assert edits.checked(document, LIBRARY).task("demo", LIBRARY) == task
+    with pytest.raises(ConfigError, match="several steps"):
+        edits.from_episode(replace(task, skill="rotate+pick_up"), SceneSpec(entities=(can,)))
 
 
 @pytest.mark.thorough

@@ -7,16 +7,18 @@ run then has the same scene, with the same hash; only the actor's seed differs.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from roboxim_core.errors import one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.plain_data.merging import merged
 from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
+from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 from roboxim_tasks.checks import Document
 from roboxim_tasks.roles import DISTRACTOR, STAY
+from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.task_config import TaskConfig, VisibleConfig
 
@@ -68,7 +70,7 @@ class FixedTaskConfig(TaskConfig):
         return self.fixed.scene
 
     def task(self, purpose: str, library: ModelLibrary) -> TaskSpec:
-        """Return the task.
+        """Return the task, with the arguments that the skill's generator gives it in this scene.
 
         Args:
             purpose: ``eval`` uses the lenient parameters.
@@ -79,9 +81,12 @@ class FixedTaskConfig(TaskConfig):
             entity = self.fixed.scene.entity(name)
             noun = library.entity_model(entity).name
             objects[role] = PhysicalObject(entity=name, model=entity.model, name=noun, modifiers=entity.modifiers)
-        arguments = asdict(self.lenient if purpose == "eval" else self.parameters)
-        if self.fixed.stay_m:
-            arguments[STAY] = self.fixed.stay_m
+        skill = SKILLS[self.skill]
+        context = GenerationContext(
+            seed=SeedPath(run_seed=0, purpose=purpose, index=0), config=self, library=library, roles=skill.roles,
+            mismatch=skill.mismatch, given={role: objects[role] for role in skill.roles}, text=skill.templates[0],
+        )  # fmt: skip
+        arguments = skill.generate(context).arguments | ({STAY: self.fixed.stay_m} if self.fixed.stay_m else {})
         return TaskSpec(skill=self.skill, objects=objects, arguments=arguments, instruction=self.fixed.instruction)
 
 

@@ -37,6 +37,17 @@ def test_every_index_has_the_given_scene(library, drawn):
         assert again.max_steps == drawn.max_steps
 
 
+@pytest.mark.parametrize("name", ["place_on", "push_button", "open_drawer", "push_object", "rotate"])
+def test_a_given_scene_is_judged_as_the_drawn_one(library, name):
+    own = load_task_config(name)
+    if name == "rotate":
+        own = parse_task_config("{skill: rotate, objects: {target: {models: {values: [soda_can]}}}}")
+    generator = EpisodeGenerator(library)
+    drawn = generator.draw(SEED, own)
+    again = generator.draw(SEED, parse_task_config(text(drawn)))
+    assert again.task.arguments == drawn.task.arguments
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

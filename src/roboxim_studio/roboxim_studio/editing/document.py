@@ -20,7 +20,8 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.specs import CameraSpec, EntitySpec, LightSpec, LookSpec, RobotSpec, Scalar, SceneSpec, TaskSpec
 from roboxim_tasks.fixed_scene import FixedScene, FixedTask, FixedTaskConfig, fixed_task_config
-from roboxim_tasks.roles import DISTRACTOR, LIMITS, STAY
+from roboxim_tasks.roles import DISTRACTOR, GENERAL, STAY
+from roboxim_tasks.sequences import is_sequence
 from roboxim_tasks.skills import SKILLS
 
 MAX_STEPS = 200
@@ -35,8 +36,14 @@ def from_draw(draw: Draw) -> FixedTask:
 
 
 def from_episode(task: TaskSpec, scene: SceneSpec) -> FixedTask:
-    """Return a task and its scene as a document."""
-    own = {name: value for name, value in task.arguments.items() if name not in (STAY, LIMITS)}
+    """Return a task and its scene as a document.
+
+    Raises:
+        ConfigError: When the task has several steps.
+    """
+    if is_sequence(task.skill):
+        raise ConfigError(f"'{task.instruction}' has several steps; only a task of one skill has a given scene")
+    own = {name: value for name, value in task.arguments.items() if name not in GENERAL}
     defaults = SKILLS[task.skill].Parameters()
     changed = {name: value for name, value in own.items() if value != getattr(defaults, name)}
     roles = {role: thing.entity for role, thing in task.objects.items()}
