@@ -16,6 +16,7 @@ from typing import Any
 
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.modifiers import color_word
 from roboxim_core.plain_data.wordings import english_wordings
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
@@ -207,9 +208,9 @@ def _thing(entity: str, scene: SceneSpec, library: ModelLibrary) -> PhysicalObje
 def _descriptions(thing: PhysicalObject, library: ModelLibrary) -> set[str]:
     """Return every true description of an object: its noun with any of the words for its modifiers."""
     known = library.object_modifiers(thing.model)
-    values = [
-        str(thing.modifiers.get(kind, known[kind].default if kind in known else "")) for kind in SPOKEN
-    ]  # a modifier that is not given has the model's default
+    defaults = {kind: known[kind].default for kind in SPOKEN if kind in known}
+    true = {**defaults, "color": color_word(known, thing.modifiers), **thing.modifiers}
+    values = [str(true.get(kind, "")) for kind in SPOKEN]  # a modifier that is not given has the model's default
     return {
         " ".join((*(value for value, named in zip(values, chosen, strict=True) if named and value), thing.name)).lower()
         for chosen in itertools.product((False, True), repeat=len(values))

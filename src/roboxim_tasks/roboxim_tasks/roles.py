@@ -8,6 +8,7 @@ from string import Formatter
 
 from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.modifiers import color_word
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 
 DISTRACTOR = "distractor"
@@ -68,7 +69,8 @@ def fits_description(thing: PhysicalObject, named: PhysicalObject, library: Mode
     """Return whether an object fits the description of another one.
 
     A modifier that the object was drawn without has its model's default value: an apple is red even if its description
-    does not say so. For an object with a ``scale``, the scale counts and not its size word.
+    does not say so, and a rubber cube without a colour is black. For an object with a ``scale``, the scale counts and
+    not its size word.
     """
     if thing.name != named.name:
         return False
@@ -78,6 +80,8 @@ def fits_description(thing: PhysicalObject, named: PhysicalObject, library: Mode
         wanted = named.modifiers[kind]
         if kind == "size" and thing.modifiers.get("scale", 1.0) != 1.0:
             return _as_large_as(thing, named, library)
+        if kind == "color":
+            return color_word(defaults, thing.modifiers) == wanted
         default = defaults[kind].default if kind in defaults else None
         return thing.modifiers.get(kind, default) == wanted
 

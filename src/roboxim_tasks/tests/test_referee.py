@@ -8,9 +8,10 @@ import pytest
 from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.models.modifiers import FINISHES, PALETTE
 from roboxim_core.poses import Pose
-from roboxim_core.specs import EntitySpec, PhysicalObject
+from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec
 from roboxim_tasks.components import COMPONENTS, ResetComponent, register
 from roboxim_tasks.config import load_task_config, parse_task_config
+from roboxim_tasks.meaning import read_instruction
 from roboxim_tasks.roles import fits_description, task_objects
 from roboxim_tasks.skills import SKILLS
 
@@ -180,3 +181,18 @@ def test_what_a_thing_is_by_default_counts(model, modifiers, fits, library):
     named = PhysicalObject(entity="target", model="apple", name="apple", modifiers={"color": "red"})
     thing = PhysicalObject(entity="other", model=model, name=model, modifiers=modifiers)
     assert fits_description(thing, named, library) is fits
+
+
+@pytest.mark.parametrize(
+    ("modifiers", "color", "fits"),
+    [
+        ({"material": "rubber"}, "black", True), ({"material": "rubber"}, "red", False),
+        ({"material": "rubber", "color": "red"}, "black", False), ({"material": "rubber", "color": "red"}, "red", True),
+        ({"material": "plastic"}, "red", True), ({"material": "wooden"}, "tan", True),
+    ],
+)  # fmt: skip
+def test_the_colour_of_a_material_counts_where_none_is_given(modifiers, color, fits, library):
+    named = PhysicalObject(entity="target", model="cube", name="cube", modifiers={"color": color})
+    assert fits_description(replace(named, entity="other", modifiers=modifiers), named, library) is fits
+    scene = SceneSpec(entities=(EntitySpec(name="other", model="cube", modifiers=modifiers),))
+    assert bool(read_instruction(f"Pick up the {color} cube", scene, library).tasks) is fits

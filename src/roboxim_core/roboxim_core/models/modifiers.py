@@ -6,6 +6,7 @@ Every object also takes ``mass`` and ``friction``, invisible factors for randomi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -133,6 +134,25 @@ PHYSICAL: Mapping[str, ModifierModel] = MappingProxyType(
     }
 )
 """Factors on the mass of every link and on the lateral friction, which every object takes."""
+
+
+def color_word(modifiers: Mapping[str, ModifierModel], given: Mapping[str, Scalar]) -> str:
+    """Return the word for an object's colour; empty: it has none.
+
+    It is the given colour, else the model's default. An object of another material without a given colour has that of
+    the material, and the word of the nearest colour of the palette: rubber is black, wood tan.
+
+    Args:
+        modifiers: The object's modifiers by kind.
+        given: Values by kind.
+    """
+    if "color" in given:
+        return str(given["color"])
+    material = given.get("material")
+    if "material" in modifiers and material not in (None, modifiers["material"].default):
+        natural = FINISHES[str(material)].surface.color
+        return min(PALETTE, key=lambda word: math.dist(PALETTE[word], natural))
+    return str(modifiers["color"].default) if "color" in modifiers else ""
 
 
 def modified(

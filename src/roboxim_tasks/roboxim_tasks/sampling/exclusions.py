@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.models.modifiers import PHYSICAL, ModifierModel
+from roboxim_core.models.modifiers import PHYSICAL, ModifierModel, color_word
 from roboxim_core.specs import PhysicalObject, Scalar
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.roles import SPOKEN
@@ -40,8 +40,7 @@ def matches(objects: Mapping[str, PhysicalObject], combination: Combination, lib
     """
     return all(
         role in objects
-        and wanted.items() <= {**_defaults(objects[role].model, library), **objects[role].modifiers,
-                               MODEL: objects[role].model}.items()
+        and wanted.items() <= _true_of(objects[role], library).items()
         for role, wanted in combination.items()
     )  # fmt: skip
 
@@ -73,5 +72,7 @@ def _possible(config: ObjectConfig, kinds: Iterable[str], library: ModelLibrary)
     return things
 
 
-def _defaults(model: str, library: ModelLibrary) -> dict[str, Scalar]:
-    return {kind: modifier.default for kind, modifier in {**PHYSICAL, **library.object_modifiers(model)}.items()}
+def _true_of(thing: PhysicalObject, library: ModelLibrary) -> dict[str, Scalar]:
+    known = library.object_modifiers(thing.model)
+    defaults = {kind: modifier.default for kind, modifier in {**PHYSICAL, **known}.items()}
+    return {**defaults, "color": color_word(known, thing.modifiers), **thing.modifiers, MODEL: thing.model}
