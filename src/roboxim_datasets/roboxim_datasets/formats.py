@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from roboxim_core.errors import ConfigError, InvalidRequestError
+from roboxim_core.plain_data.results_log import RUN_FILE
 from roboxim_datasets import hdf5, lerobot, rlds  # importing a format registers it
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.depth import checked_unit, is_named_depth
@@ -58,7 +59,7 @@ def _not_one(path: Path, found: list[tuple[str, Path]], format: str) -> str:
     if found:
         names = ", ".join(f"{at} ({name})" for name, at in found[:5]) + (", ..." if len(found) > 5 else "")
         return f"{path} holds {len(found)} datasets; name one of {names}"
-    if any((path / name).exists() for name in ("episodes", "run.json")) or any(path.glob("**/*.mcap")):
+    if any((path / name).exists() for name in ("episodes", RUN_FILE)) or any(path.glob("**/*.mcap")):
         return f"{path} holds bags, not a dataset; export them first: roboxim export rlds {path} --out {path}-rlds"
     kinds = format or ", ".join(FORMATS)
     return f"{path} holds no dataset (formats: {kinds}); name the folder that 'roboxim export' or another tool wrote"

@@ -8,10 +8,9 @@ from pathlib import Path
 from roboxim_core.config import from_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RecorderError
-from roboxim_core.plain_data.results_log import ResultsLog
+from roboxim_core.plain_data.results_log import RESULTS_FILE, ResultsLog
 from roboxim_recorder.bag_writer import PLACES
 
-RESULTS_FILE = "results.jsonl"
 SHOWN = 5
 """Number of names in a message; further ones are only counted."""
 

@@ -88,7 +88,8 @@ def _folder(path: Path) -> Opened:
 
 def _is_run(folder: Path) -> bool:
     """Return whether a folder is a run's, or an evaluation's; it may not have finished an episode yet."""
-    from roboxim_runs.storage.folder import RUN_FILE, folders_with
+    from roboxim_core.plain_data.results_log import RUN_FILE
+    from roboxim_runs.storage.folder import folders_with
 
     return any(folders_with(RUN_FILE, folder, 1))
 

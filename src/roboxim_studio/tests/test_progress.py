@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from roboxim_core.episode import Draw
+from roboxim_core.plain_data.results_log import RUN_FILE
 from roboxim_core.seeds import SeedPath
 from roboxim_runs.storage.event_log import EVENTS_FILE, STARTED, EventLog
-from roboxim_runs.storage.folder import EPISODE_MARK, RUN_FILE, locked
+from roboxim_runs.storage.folder import EPISODE_MARK, locked
 from roboxim_studio.acting.drive import Drive
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.app import Studio

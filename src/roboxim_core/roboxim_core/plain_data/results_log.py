@@ -20,6 +20,8 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import parse_json
 from roboxim_core.whole_files import write_whole
 
+RUN_FILE, RESULTS_FILE = "run.json", "results.jsonl"
+"""Files of a run's folder: its configuration, and its results."""
 KEY, CHECKSUM = "key", "checksum"
 REMEDY = (
     "run again with --repair or repair=True, which drops unreadable results and repeats them, or choose another output "
@@ -64,18 +66,18 @@ class ResultsLog:
                 raise ConfigError(f"{self.path} line {number} {error}; {REMEDY}") from None
         return results
 
-    def append(self, key: str, result: Mapping[str, Any]) -> None:
-        """Append a result. It is on the disk when this returns.
+    def append(self, key: str, *results: Mapping[str, Any]) -> None:
+        """Append results. They are on the disk when this returns.
 
         Args:
-            key: Hash of everything that the result depends on.
-            result: Plain data.
+            key: Hash of everything that the results depend on.
+            *results: Plain data.
         """
         if self._ends_torn():
             whole = self.path.read_bytes().rpartition(b"\n")[0]
             write_whole(self.path, whole.decode(errors="replace") + ("\n" if whole else ""))
         with open(self.path, "a") as file:
-            file.write(line_of(key, result))
+            file.write("".join(line_of(key, result) for result in results))
             file.flush()
             os.fsync(file.fileno())
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of, printable
 from roboxim_core.plain_data.documents import read_json_object
+from roboxim_core.plain_data.results_log import RUN_FILE
 from roboxim_datasets.account import Account, Kind
 from roboxim_datasets.dataset import Dataset, Description, Features
 from roboxim_datasets.episode import BETWEEN_ROBOTS, Episode, ImageSize, Step, Wanted
@@ -362,7 +363,7 @@ def _not_one(path: Path, found: list[Path]) -> str:
         return f"{path} holds {len(found)} datasets; name one of {names}"
     if not path.exists():
         return f"no such folder: {path}; expected a dataset, as 'roboxim export rlds' makes it"
-    if any((path / name).exists() for name in ("episodes", "run.json")) or any(path.glob("**/*.mcap")):
+    if any((path / name).exists() for name in ("episodes", RUN_FILE)) or any(path.glob("**/*.mcap")):
         return f"{path} holds bags, not a dataset; export them first: roboxim export rlds {path} --out {path}-rlds"
     return f"{path} holds 0 datasets; name the folder of one, which holds dataset_info.json"
 

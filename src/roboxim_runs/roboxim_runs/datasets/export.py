@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, one_of
+from roboxim_core.plain_data.results_log import RUN_FILE
 from roboxim_core.whole_files import write_whole
 from roboxim_datasets.build import replace_whole, restore
 from roboxim_datasets.dataset import EXPORT_FILE
@@ -19,7 +20,7 @@ from roboxim_recorder.export.lerobot import LeRobotConfig
 from roboxim_recorder.export.rlds import ExportConfig
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
-from roboxim_runs.storage.folder import RUN_FILE, RunFolder, checked_path, command_of
+from roboxim_runs.storage.folder import RunFolder, checked_path, command_of
 
 REPLAY_FILE = "replay.json"
 """File beside a dataset that has passed or not passed the gate, with every episode and tick."""

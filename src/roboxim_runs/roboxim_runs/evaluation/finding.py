@@ -7,13 +7,13 @@ from pathlib import Path
 
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.plain_data.results_log import RESULTS_FILE
 from roboxim_recorder.bag import BagReader, mcap_file
 from roboxim_recorder.run_bags import read_results
 from roboxim_runs.episodes.showing import Other
 from roboxim_runs.evaluation.report import RECORD_FILE, inside, stored_record
 from roboxim_runs.evaluation.shown import MAX_OTHERS
 
-RESULTS_FILE = "results.jsonl"
 EXPERIMENT_FILE = "experiment.json"
 
 

@@ -14,13 +14,14 @@ from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json_object
+from roboxim_core.plain_data.results_log import RESULTS_FILE
 from roboxim_core.whole_files import write_whole
 from roboxim_eval.film_options import FilmOptions
 from roboxim_runs.episodes.run import EpisodesJob
 from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
 from roboxim_runs.evaluation.shown import shown_runs, with_bags
 from roboxim_runs.policies.specs import ChosenPolicy
-from roboxim_runs.storage.folder import RESULTS_FILE, RunFolder
+from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.storage.store import readable_run
 
 RECORD_FILE = "evaluation.json"

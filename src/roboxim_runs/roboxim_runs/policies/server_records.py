@@ -12,6 +12,7 @@ from typing import Any
 
 from roboxim_core.config import to_plain
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.results_log import RUN_FILE
 from roboxim_policies.base import load_policy
 from roboxim_policies.remote import Probe, RemotePolicy, changed_facts, probe_from_plain
 from roboxim_runs.policies.specs import ChosenPolicy
@@ -76,7 +77,7 @@ def server_record(policy: ChosenPolicy, folder: RunFolder, episodes: int, timeou
 
 
 def _stored(folder: RunFolder) -> ServerRecord | None:
-    if not folder.path.exists() or not (folder.path / "run.json").exists():
+    if not folder.path.exists() or not (folder.path / RUN_FILE).exists():
         return None
     config = folder.config()
     if "server" not in config or "server_probe" not in config:

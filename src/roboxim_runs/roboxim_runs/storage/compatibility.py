@@ -11,13 +11,14 @@ from pathlib import Path
 
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_core.plain_data.documents import parse_json
+from roboxim_core.plain_data.results_log import RUN_FILE
 from roboxim_eval.benchmark.card import SCHEMA as BENCHMARK_SCHEMA
 from roboxim_eval.benchmark.card import check_benchmark_card, is_benchmark_card
 from roboxim_eval.experiments.card import SCHEMA, parse_card
 from roboxim_policies.learning.checkpoint_file import FORMAT, read_description
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.bag_writer import FORMAT_VERSION
-from roboxim_runs.storage.folder import RUN_FILE, RunFolder
+from roboxim_runs.storage.folder import RunFolder
 
 FORMATS: dict[str, str | int] = {
     "bag": FORMAT_VERSION,

@@ -17,10 +17,11 @@ from typing import Any
 
 from roboxim_core.episode.records import NOT_PLAYED
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.results_log import RESULTS_FILE, RUN_FILE
 from roboxim_core.shards import Shard
 from roboxim_runs.pace import Pace
 from roboxim_runs.storage.event_log import ENDED, EVENTS_FILE, STARTED
-from roboxim_runs.storage.folder import RESULTS_FILE, RUN_FILE, RunFolder, command_of, folders_with
+from roboxim_runs.storage.folder import RunFolder, command_of, folders_with
 
 DEEPEST = 4
 """Levels below a folder at which runs are looked for."""

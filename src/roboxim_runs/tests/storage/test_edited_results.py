@@ -13,7 +13,7 @@ import pytest
 from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RecorderError
-from roboxim_core.plain_data.results_log import ResultsLog, line_of
+from roboxim_core.plain_data.results_log import RESULTS_FILE, ResultsLog, line_of
 from roboxim_core.verdicts import Verdict
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.run_bags import read_results
@@ -21,7 +21,7 @@ from roboxim_runs.episodes.facts import FACTS_FILE, ended, episode_facts
 from roboxim_runs.evaluation.comparing import compare_evaluations
 from roboxim_runs.evaluation.finding import find_episode
 from roboxim_runs.evaluation.report import RECORD_FILE, EvaluationRecord, report_of
-from roboxim_runs.storage.folder import RESULTS_FILE, RunFolder
+from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.storage.merging import merge_shards
 
 CONFIG = {"purpose": "eval", "run_seed": 3, "episodes": 4}

@@ -9,12 +9,13 @@ from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig
 from roboxim_core.episode.records import WORKER_DIED
 from roboxim_core.errors import ConfigError, RecorderError
+from roboxim_core.plain_data.results_log import RESULTS_FILE, RUN_FILE
 from roboxim_core.verdicts import Verdict
 from roboxim_runs.episodes.generation import GenerationResult
 from roboxim_runs.episodes.run import EpisodesJob, run_episodes
 from roboxim_runs.events import Interrupted
 from roboxim_runs.executors import Done, Lost
-from roboxim_runs.storage.folder import RESULTS_FILE, RUN_FILE, RunFolder
+from roboxim_runs.storage.folder import RunFolder
 
 
 def result(index):

@@ -14,9 +14,10 @@ import pytest
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_core.plain_data.results_log import RESULTS_FILE
 from roboxim_core.shards import Shard
 from roboxim_runs.experiments.pack import pack, unpack
-from roboxim_runs.storage.folder import RESULTS_FILE, RunFolder
+from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.storage.merging import merge_shards
 from roboxim_runs.storage.state import run_state
 

@@ -9,10 +9,10 @@ import pytest
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RecorderError
-from roboxim_core.plain_data.results_log import ResultsLog, line_of
+from roboxim_core.plain_data.results_log import RESULTS_FILE, ResultsLog, line_of
 from roboxim_core.shards import Shard
 from roboxim_runs.storage import merging
-from roboxim_runs.storage.folder import RESULTS_FILE, RunFolder
+from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.storage.merging import merge_shards, whole_command
 
 CONFIG = {"purpose": "eval", "episodes": 7, "run_seed": 0}

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_core.errors import RoboximError
+from roboxim_core.plain_data.results_log import RUN_FILE
 from roboxim_runs.pace import duration_text, rate_text
-from roboxim_runs.storage.folder import EPISODE_MARK, RUN_FILE, folders_with
+from roboxim_runs.storage.folder import EPISODE_MARK, folders_with
 from roboxim_runs.storage.state import RunState, run_state
 from roboxim_studio.episode.unfinished import Growing, Picture, Unfinished
 from roboxim_studio.panels import markup

@@ -63,9 +63,10 @@ def command(sources: tuple[Path, ...], namespace: str, run_id: str | None, domai
 def _has_bags(path: Path) -> bool:
     """Tell whether a path is a bag, a folder of bags or a run, or anything that is no dataset."""
     from roboxim_core.errors import ConfigError
+    from roboxim_core.plain_data.results_log import RUN_FILE
     from roboxim_datasets.formats import open_dataset
 
-    if path.suffix == ".mcap" or any(path.glob("*.mcap")) or (path / "run.json").exists():
+    if path.suffix == ".mcap" or any(path.glob("*.mcap")) or (path / RUN_FILE).exists():
         return True
     try:
         open_dataset(path)
