@@ -24,7 +24,7 @@ from roboxim_runs.executors.protocol import Prepare, unchanged
 from roboxim_runs.policies.waiting import SERVER_WAIT_S, Waiting
 from roboxim_runs.storage.event_log import EVENTS_FILE, logged
 from roboxim_runs.storage.folder import RunFolder, require_bags
-from roboxim_runs.storage.store import RunUpload
+from roboxim_runs.storage.upload import RunUpload
 from roboxim_sim.rendering import RENDERERS
 
 TIDY = {"zero", "random", "replay", "bc", "roboxim_runs.policies.planted:PlantedPolicy"}
@@ -93,6 +93,11 @@ class EpisodesJob:
             **({"policy_files": dict(self.policy_files)} if self.policy_files else {}),
             **self.server,
         }
+
+    @property
+    def upload(self) -> RunUpload:
+        """Uploads the files of the job's run."""
+        return RunUpload(Path(self.config.output_dir), self.store, shard=str(self.shard))
 
     def done(self, results: Iterable[EpisodeResult]) -> dict[int, EpisodeResult]:
         """Return, by index, a folder's results that belong to this job and need no further attempt."""
@@ -212,14 +217,17 @@ def run_episodes(
 
     Raises:
         CancelledError: When the run was cancelled.
-        ConfigError: When the folder holds another run.
+        ConfigError: When the folder or the store holds another run.
         RecorderError: ``BAG_DAMAGED`` when bags of earlier results have vanished.
         RoboximError: When a graph has a fault that a new worker does not recover from.
     """
     folder = RunFolder(job.config.output_dir)
     with Reporter(on_event).resumable(lambda: _describe_progress(folder)), folder.opened(job.identity, repair=repair):
+        upload = job.upload
+        upload.require_own(job.identity, repair=repair)
         done = _finished(job, folder, repair)
         missing = [index for index in job.indices if index not in done]
+        upload.all()  # at once, so that no other run takes the store; and in case that an earlier run did not end
         if not missing:
             return [done[index] for index in sorted(done)]
         folder.discard(missing)
@@ -229,7 +237,7 @@ def run_episodes(
         facts = {"title": title, "executor": type(executor).__name__.removesuffix("Executor").lower()}
         outcomes = Counter(result.outcome for result in done.values())
         with logged(folder.path / EVENTS_FILE, on_event, **facts, workers=job.workers, total=total) as report:
-            reporter, upload = Reporter(report), RunUpload(folder.path, job.store, shard=str(job.shard))
+            reporter = Reporter(report)
             with reporter.stage(title, total, done=len(done)) as progress:
                 progress(len(done), note="starting")
                 for result in _results(executor, job, missing, environment, folder, reporter, cancellation, prepare):

@@ -144,6 +144,7 @@ def evaluate(
     jobs = {policy.name: _job(config, policy, text, _server(config, policy, on_event)) for policy in chosen}
     for policy in chosen:
         require_same_policy(policy.name, jobs[policy.name], out / policy.name, repair=config.repair)
+        jobs[policy.name].upload.require_own(jobs[policy.name].identity, repair=config.repair)
     found = {}
     with run_environment("evaluate", out) as environment:
         for policy in chosen:

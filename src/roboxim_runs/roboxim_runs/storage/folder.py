@@ -19,18 +19,16 @@ from roboxim_core.config import digest, from_plain, to_plain
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, RoboximError
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.documents import read_json_object
-from roboxim_core.plain_data.results_log import REMEDY, LoggedResult, ResultsLog
+from roboxim_core.plain_data.results_log import REMEDY, RESULTS_FILE, RUN_FILE, LoggedResult, ResultsLog
 from roboxim_core.shards import Shard
 from roboxim_core.user_folders import expanded
 from roboxim_core.whole_files import write_whole
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
-from roboxim_runs.storage.store import stored_bags
+from roboxim_runs.storage.store import repair_stored, stored_bags
 
 if TYPE_CHECKING:
     from roboxim_core.episode import EpisodeResult
 
-RUN_FILE = "run.json"
-RESULTS_FILE = "results.jsonl"
 MAY_DIFFER = ("episodes", "workers", "shard", "store", "server_probe")
 """Keys of a run's configuration that may change when it continues, e.g. on another machine or with more episodes. The
 probe of a remote policy is compared by `roboxim_runs.policies.server_records`."""
@@ -80,8 +78,11 @@ class RunFolder:
         with locked(self.path):
             self._key, about = run_key(config), self.path.stat()
             self._locked = about.st_dev, about.st_ino
+            if repair:
+                repair_stored(self.path)
             if stored_at.exists() and self.log.path.exists():
                 self._require_same(config, repair)
+            self._require_same_store(config, repair)
             write_whole(stored_at, json.dumps(dict(config), indent=2, sort_keys=True) + "\n")
             yield self
 
@@ -100,6 +101,23 @@ class RunFolder:
         for entry in self.log.read():
             if entry.key not in ("", self._key):
                 raise ConfigError(f"{self.log.path} line {entry.line} is a result of another run; {REMEDY}")
+
+    def _require_same_store(self, config: Mapping[str, Any], repair: bool) -> None:
+        """Refuse another store than the one that has bags of the folder: they would no longer be found."""
+        if not stored_bags(self.path):
+            return
+        try:
+            stored = self.config()
+        except ConfigError:
+            if not repair:
+                raise
+            return
+        before, now = (str(one.get("store", "")).rstrip("/") for one in (stored, config))
+        if before != now:
+            raise ConfigError(
+                f"the bags of {self.path} are in the store '{before}', not in '{now}'; continue with --store {before} "
+                "or store=, or choose another output folder (--out or out=)"
+            )
 
     def _require_same_configuration(self, stored: Mapping[str, Any], config: Mapping[str, Any]) -> None:
         stored_command, command = command_of(stored), command_of(config)

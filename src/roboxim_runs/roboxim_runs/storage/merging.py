@@ -22,7 +22,7 @@ from roboxim_core.config import from_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_core.plain_data.differences import differences
-from roboxim_core.plain_data.results_log import line_of
+from roboxim_core.plain_data.results_log import RESULTS_FILE, RUN_FILE, line_of
 from roboxim_core.whole_files import write_whole
 from roboxim_recorder.bag_writer import PLACES, disk_errors
 from roboxim_runs.episodes.generation import write_first_demonstrations
@@ -30,15 +30,14 @@ from roboxim_runs.evaluation.report import RECORD_FILE, REPORT_FILE, EvaluationR
 from roboxim_runs.events import OnEvent, Reporter, ReportProgress, ignore
 from roboxim_runs.storage.folder import (
     MAY_DIFFER,
-    RESULTS_FILE,
-    RUN_FILE,
     RunFolder,
     checked_path,
     folders_with,
     locked,
     run_key,
 )
-from roboxim_runs.storage.store import RunUpload, file_sha256, note_stored, stored_bags
+from roboxim_runs.storage.store import file_sha256, note_stored, stored_bags
+from roboxim_runs.storage.upload import RunUpload
 
 DEEPEST = 3
 """Levels below a shard's folder at which runs are looked for."""
@@ -122,7 +121,9 @@ def _write(
                     merge.put(stage / merge.name, target / merge.name)
             _write_reports(target, records, shards)
     for merge in merges:
-        RunUpload(target / merge.name, str(merge.config.get("store", ""))).all()
+        upload = RunUpload(target / merge.name, str(merge.config.get("store", "")))
+        upload.require_own(merge.config)
+        upload.all()
 
 
 def _write_reports(folder: Path, records: Mapping[str, EvaluationRecord], shards: Sequence[Path]) -> None:
@@ -310,12 +311,14 @@ class _Merge:
             attempts = {run.path: _by_episode(_bags_in(run.path)) for run in self.runs}
             stored = {run.path: stored_bags(run.path) for run in self.runs}
             uploads = {path: _by_episode(bags) for path, bags in stored.items()}
+            noted: dict[str, Mapping[str, Any]] = {}
             for _, episode in sorted(self.chosen.items()):
                 for bag in attempts[episode.run.path].get(episode.result.episode, []):
                     _link(episode.run.path / bag, folder / bag)
                 uploaded = uploads[episode.run.path].get(episode.result.episode, [])
-                note_stored(folder, {bag: stored[episode.run.path][bag] for bag in uploaded})
+                noted |= {bag: stored[episode.run.path][bag] for bag in uploaded}
                 yield
+            note_stored(folder, noted)
             lines = [line_of(run_key(self.config), episode.line) for _, episode in sorted(self.chosen.items())]
             write_whole(folder / RESULTS_FILE, "".join(lines))
             write_whole(folder / RUN_FILE, json.dumps(self.config, indent=2, sort_keys=True) + "\n")

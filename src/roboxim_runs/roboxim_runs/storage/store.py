@@ -2,14 +2,13 @@
 
 A file appears under its own name only when it is complete, and is read back before it counts as stored; its SHA-256 is
 kept in ``stored.jsonl`` beside the results. Every reader of a store compares the checksum, so a damaged or replaced
-object is reported instead of used. ``run.json``, ``results.jsonl`` and ``stored.jsonl`` are uploaded during the run and
-at its end.
+object is reported instead of used. ``run.json``, ``results.jsonl`` and ``stored.jsonl`` are uploaded by
+`roboxim_runs.storage.upload`.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import secrets
 import shutil
 import tempfile
@@ -20,13 +19,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, UnavailableError
+from roboxim_core.plain_data.documents import read_json_object
+from roboxim_core.plain_data.results_log import REMEDY, RESULTS_FILE, RUN_FILE, LoggedResult, ResultsLog
 
 STORED_FILE = "stored.jsonl"
 """File with a line for each stored bag: its path in the run and the SHA-256 and size of its files."""
-SMALL_FILES = ("run.json", "results.jsonl", STORED_FILE)
+SMALL_FILES = (RUN_FILE, RESULTS_FILE, STORED_FILE)
 """Files of a run that are uploaded besides its bags."""
-UPLOAD_PERIOD_S = 60.0
-"""Time between two uploads of a run's small files [s]."""
 TRIES = 4
 """Number of attempts at a transfer, with growing pauses."""
 PAUSE_S = 1.0
@@ -141,6 +140,18 @@ class Store:
         """Return whether there is a file of the name."""
         return bool(self._tried(f"look for {name}", lambda: self._files.exists(self._place(name))))
 
+    def folders(self, name: str) -> list[str]:
+        """Return the names of the folders in a folder, which need not exist."""
+
+        def listed() -> list[dict[str, Any]]:
+            try:
+                return list(self._files.ls(self._place(name), detail=True))
+            except FileNotFoundError:
+                return []
+
+        found = self._tried(f"list {name}", listed)
+        return sorted(one["name"].rstrip("/").rpartition("/")[2] for one in found if one["type"] == "directory")
+
     def find(self) -> list[str]:
         """Return the names of all files."""
         found = self._tried("list it", lambda: self._files.find(self._root))
@@ -183,54 +194,37 @@ def file_sha256(file: Path) -> str:
 
 
 def note_stored(run: Path, bags: Mapping[str, Mapping[str, Any]]) -> None:
-    """Append bags that are in the store, by their path in the run, to the run's list."""
-    if not bags:
-        return
-    with open(run / STORED_FILE, "a") as file:
-        for bag, files in bags.items():
-            file.write(json.dumps({"bag": bag, "files": files}, sort_keys=True) + "\n")
+    """Append bags that are in the store, by their path in the run, to the run's list; it is on the disk then."""
+    if bags:
+        ResultsLog(run / STORED_FILE).append("", *({"bag": bag, "files": files} for bag, files in bags.items()))
 
 
 def stored_bags(run: Path) -> dict[str, dict[str, Any]]:
-    """Return the bags of a run that are in its store, with the facts of their files; a torn last line is left out."""
-    try:
-        lines = (run / STORED_FILE).read_text().split("\n")[:-1]
-    except OSError:
-        return {}
-    try:
-        return {entry["bag"]: entry["files"] for entry in map(json.loads, lines)}
-    except (ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{run / STORED_FILE} is damaged ({error}); restore it from the store") from None
+    """Return the bags of a run that are in its store, with the facts of their files; a torn last line is left out.
+
+    Raises:
+        ConfigError: When a line is damaged.
+    """
+    log, found = ResultsLog(run / STORED_FILE), {}
+    for entry in log.read():
+        if not _names_files(entry):
+            raise ConfigError(f"{log.path} line {entry.line} is not a stored bag; {REMEDY}")
+        found[entry.data["bag"]] = entry.data["files"]
+    return found
 
 
-class RunUpload:
-    """Uploads the small files of a run from time to time."""
+def repair_stored(run: Path) -> None:
+    """Drop damaged lines of the list of stored bags; their episodes then count as without a bag."""
+    ResultsLog(run / STORED_FILE).repair(_names_files)
 
-    def __init__(self, run: Path, url: str, *, shard: str = "") -> None:
-        """Store the folder and the URL.
 
-        Args:
-            run: The run's folder.
-            url: The run's store; empty: none.
-            shard: ``I/N``: a shard's files go to ``shards/I-of-N`` in the store, those of a whole run to its root.
-        """
-        self._run, self._url, self._last = run, url, time.monotonic()
-        self._prefix = f"shards/{shard.replace('/', '-of-')}/" if shard else ""
+def _names_files(entry: LoggedResult) -> bool:
+    return isinstance(entry.data.get("bag"), str) and isinstance(entry.data.get("files"), dict)
 
-    def now_and_then(self) -> None:
-        """Upload them if the last upload was long ago."""
-        if self._url and time.monotonic() - self._last > UPLOAD_PERIOD_S:
-            self.all()
 
-    def all(self) -> None:
-        """Upload them."""
-        if not self._url:
-            return
-        with Store.opened(self._url) as store:
-            for name in SMALL_FILES:
-                if (self._run / name).exists():
-                    store.put(self._run / name, self._prefix + name)
-        self._last = time.monotonic()
+def _store_of(run: Path) -> str:
+    """Return the URL of a run's store."""
+    return str(read_json_object(run / RUN_FILE).get("store", ""))
 
 
 @contextmanager
@@ -282,11 +276,10 @@ def _download(url: str, folder: Path) -> None:
 
 def _gather(run: Path, folder: Path) -> None:
     """Collect a run's local and stored bags in one folder."""
-    url = json.loads((run / "run.json").read_text()).get("store", "")
     for name in SMALL_FILES:
         if (run / name).exists():
             shutil.copy2(run / name, folder / name)
-    fetch_bags(run, url, stored_bags(run), folder)
+    fetch_bags(run, _store_of(run), stored_bags(run), folder)
     for place in ("episodes", "set_apart"):
         for bag in (run / place).glob("[!.]*"):
             (folder / place).mkdir(exist_ok=True)
@@ -324,7 +317,7 @@ def readable_run(run: Path, bags: Sequence[str]) -> Iterator[Path]:
         return
     with tempfile.TemporaryDirectory(prefix="roboxim-store-") as place:
         folder = Path(place)
-        fetch_bags(run, json.loads((run / "run.json").read_text()).get("store", ""), bags, folder)
+        fetch_bags(run, _store_of(run), bags, folder)
         for bag in bags:
             if not (folder / bag).exists():
                 (folder / bag).parent.mkdir(parents=True, exist_ok=True)

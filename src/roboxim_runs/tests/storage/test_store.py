@@ -9,12 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from roboxim_core.episode import EpisodeResult
+from roboxim_core.config import to_plain
+from roboxim_core.episode import EpisodeResult, RunConfig
 from roboxim_core.errors import ConfigError, RecorderError, UnavailableError
+from roboxim_core.shards import Shard
+from roboxim_runs.episodes.run import EpisodesJob, run_episodes
+from roboxim_runs.executors import Done
 from roboxim_runs.storage import store as stores
 from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.storage.merging import merge_shards
-from roboxim_runs.storage.store import RunUpload, Store, local_sources, note_stored, readable_run, upload_dataset
+from roboxim_runs.storage.store import Store, local_sources, note_stored, readable_run, stored_bags, upload_dataset
+from roboxim_runs.storage.upload import RunUpload
 
 
 def test_without_the_extra_the_user_is_told_what_to_install(monkeypatch):
@@ -165,5 +170,98 @@ def test_what_is_no_store_is_refused():
 
 def test_a_damaged_list_of_stored_bags_is_named(tmp_path):
     Path(tmp_path, "stored.jsonl").write_text(json.dumps({"bag": "x"}) + "\n")
-    with pytest.raises(ConfigError, match=r"stored.jsonl is damaged"):
-        stores.stored_bags(tmp_path)
+    with pytest.raises(ConfigError, match=r"stored.jsonl line 1 is not a stored bag; .*--repair"):
+        stored_bags(tmp_path)
+
+
+def test_a_torn_line_of_the_list_of_stored_bags_blocks_no_run(tmp_path):
+    note_stored(tmp_path, {"episodes/a": {}})
+    with Path(tmp_path, "stored.jsonl").open("a") as file:
+        file.write('{"bag": "episodes/b", "fi')
+    note_stored(tmp_path, {"episodes/c": {}})
+    assert list(stored_bags(tmp_path)) == ["episodes/a", "episodes/c"]
+
+
+class Uploading:
+    """An executor whose workers upload the bags."""
+
+    def __init__(self):
+        self.asked = []
+
+    def run(self, work, jobs, **_):
+        for job in jobs:
+            self.asked.append(job.data)
+            with Store.opened(work.settings["staging"]["store"]) as store:
+                bag = Path(work.settings["config"]["output_dir"]).parent / "made" / result(job.data).bag
+                bag.mkdir(parents=True, exist_ok=True)
+                (bag / "x_0.mcap").write_text(f"recording {job.data} of seed {work.settings['config']['run_seed']}")
+                stored = {result(job.data).bag: store.put_folder(bag, result(job.data).bag)}
+            yield Done(key=job.key, value={"result": to_plain(result(job.data)), "stored": stored})
+
+
+def run_into(url, folder, *, seed=0, repair=False, shard="", **changes):
+    """Run three episodes; return the indices that were run."""
+    executor = Uploading()
+    config = RunConfig(output_dir=str(folder), run_seed=seed)
+    job = EpisodesJob(config=config, episodes=3, store=url, shard=Shard.parse(shard), **changes)
+    run_episodes(job, "", {}, executor=executor, repair=repair)
+    return executor.asked
+
+
+def test_a_store_belongs_to_one_run(url, tmp_path):
+    run_into(url, tmp_path / "a")
+    with pytest.raises(ConfigError, match=r"holds another run \(run_seed: 0 stored, 1 requested\).* another --store"):
+        run_into(url, tmp_path / "b", seed=1)
+    with pytest.raises(ConfigError, match=r"holds 3 bags of this run that .*/c does not know: .*copy run.json"):
+        run_into(url, tmp_path / "c")
+    with local_sources([url]) as [folder]:
+        assert (folder / result(2).bag / "x_0.mcap").read_text() == "recording 2 of seed 0"
+    assert run_into(url, tmp_path / "a") == [], "the run itself continues"
+    assert run_into(url, tmp_path / "c", repair=True) == [0, 1, 2]
+
+
+def test_shards_of_two_runs_share_no_store(url, tmp_path):
+    assert run_into(url, tmp_path / "a1", shard="1/2") + run_into(url, tmp_path / "a2", shard="2/2") == [0, 2, 1]
+    with pytest.raises(ConfigError, match="holds another run"):
+        run_into(url, tmp_path / "b", seed=1, shard="3/3")
+    merge_shards(tmp_path / "a", [tmp_path / "a1", tmp_path / "a2"])
+    assert run_into(url, tmp_path / "a") == []
+
+
+def test_a_run_that_has_bags_in_a_store_keeps_it(tmp_path):
+    pytest.importorskip("fsspec")
+    run_into(f"file://{tmp_path}/store", tmp_path / "a")
+    with pytest.raises(ConfigError, match=r"the bags of .*/a are in the store 'file://.*/store', not in 'file://.*/2'"):
+        run_into(f"file://{tmp_path}/2", tmp_path / "a")
+
+
+def test_a_last_upload_that_failed_is_repeated(tmp_path, monkeypatch):
+    pytest.importorskip("fsspec")
+    url = f"file://{tmp_path}/store"
+    uploads, every = [], RunUpload.all
+
+    def second_fails(upload):
+        uploads.append(upload)
+        if len(uploads) == 2:
+            raise UnavailableError("the store is away")
+        every(upload)
+
+    monkeypatch.setattr(RunUpload, "all", second_fails)
+    with pytest.raises(UnavailableError):
+        run_into(url, tmp_path / "a")
+    assert run_into(url, tmp_path / "a") == [], "all of its episodes are done"
+    with local_sources([url]) as [folder]:
+        assert len(RunFolder(folder).results()) == 3
+
+
+def test_repair_repeats_the_episodes_of_damaged_lines_of_stored_bags(tmp_path):
+    pytest.importorskip("fsspec")
+    url = f"file://{tmp_path}/store"
+    run_into(url, tmp_path / "a")
+    stored = tmp_path / "a" / "stored.jsonl"
+    first, _, last = stored.read_text().splitlines(keepends=True)
+    stored.write_text(f"{first}garbage\n{last}")
+    with pytest.raises(ConfigError, match=r"stored.jsonl line 2 .*--repair"):
+        run_into(url, tmp_path / "a")
+    assert run_into(url, tmp_path / "a", repair=True) == [1]
+    assert run_into(url, tmp_path / "a") == []
