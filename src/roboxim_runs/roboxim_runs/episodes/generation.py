@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import ClassVar
 
 from roboxim_core.episode import EpisodeResult
-from roboxim_core.errors import ErrorCode, RoboximError
+from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError
 from roboxim_core.limits import ATTEMPTS, require_range
 from roboxim_core.shards import Shard
 from roboxim_runs.episodes.pictures import write_contact_sheet
-from roboxim_runs.episodes.run import EpisodesJob, run_environment, run_episodes
+from roboxim_runs.episodes.run import EpisodesJob, not_played, run_environment, run_episodes
 from roboxim_runs.episodes_config import EpisodesConfig
 from roboxim_runs.events import EpisodeFinished, Event, OnEvent, PictureWritten, ignore
 from roboxim_runs.executors import Cancellation, Executor
@@ -81,7 +81,7 @@ class GenerationResult:
     results: tuple[EpisodeResult, ...]
     """Results of all requested episodes, in the order of their indices."""
     before: tuple[EpisodeResult, ...]
-    """Number of results that the folder had before."""
+    """Results that the folder had before."""
     picture: Path | None
     """Picture of the first demonstrations; none without any."""
 
@@ -103,7 +103,8 @@ class GenerationResult:
     @property
     def summary(self) -> str:
         """Number of demonstrations, and how many of them existed before, in one line."""
-        made = [result for result in self.results if result not in self.before]
+        there = {result.episode_id: result for result in self.before}
+        made = [result for result in self.results if there.get(result.episode_id) != result]
         indices = {result.index for result in self.results}
         more = sum(result.outcome == "success" for result in self.before if result.index not in indices)
         text = f"{len(self.kept)} demonstration{'' if len(self.kept) == 1 else 's'} in {self.out / 'episodes'}"
@@ -157,6 +158,7 @@ def generate(
         ConfigError: When the configuration is wrong, or the folder holds another run.
         RecorderError: ``BAG_DAMAGED`` when bags of earlier results have vanished.
         RoboximError: When a graph has a fault that a new worker does not recover from.
+        UnavailableError: When all processes died at an episode.
     """
     config = config.sized(config.task_text(), on_event)
     job = config.job()
@@ -181,7 +183,10 @@ def generate(
             repair=config.repair,
         )  # fmt: skip
     pictured = write_first_demonstrations(folder.path, results)
-    return GenerationResult(out=out, results=tuple(results), before=before, picture=out / PICTURE if pictured else None)
+    made = GenerationResult(out=out, results=tuple(results), before=before, picture=out / PICTURE if pictured else None)
+    if lost := not_played(results):
+        raise UnavailableError(f"{made.summary}, but {lost}")
+    return made
 
 
 def write_first_demonstrations(folder: Path, results: Sequence[EpisodeResult]) -> bool:

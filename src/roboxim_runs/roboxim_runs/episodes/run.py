@@ -324,6 +324,17 @@ def _describe_progress(folder: RunFolder) -> str:
     )
 
 
+def not_played(results: Sequence[EpisodeResult]) -> str:
+    """Return how many episodes were not played, and why, in two sentences; empty: all were played."""
+    lost = [result for result in results if not result.played]
+    if not lost:
+        return ""
+    return (
+        f"{len(lost)} of {len(results)} episodes were not played: every process that ran one of them died, first at "
+        f"index {lost[0].index}: {lost[0].message}. The same call or command repeats these episodes"
+    )
+
+
 def failures(results: Iterable[EpisodeResult], max_items: int = 10) -> list[str]:
     """Return a line for each reason of failure, the most frequent first, with its episodes and its first message.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
 from roboxim_datasets.episode import BETWEEN_ROBOTS
-from roboxim_runs.episodes.run import EpisodesJob
+from roboxim_runs.episodes.run import EpisodesJob, not_played
 from roboxim_runs.evaluation.results import PolicyResult
 from roboxim_runs.executors import Executor, LocalExecutor
 from roboxim_runs.policies.specs import ChosenPolicy
@@ -86,12 +86,9 @@ def require_played(policies: Iterable[PolicyResult]) -> None:
         EvaluationError: Naming the policies, the first episode, and what happened to it.
     """
     for policy in policies:
-        lost = [result for result in policy.results if not result.played]
-        if lost:
+        if lost := not_played(policy.results):
             raise EvaluationError(
-                f"policy '{policy.name}' did not play {len(lost)} of {len(policy.results)} episodes, so there is no "
-                f"rate: every process that ran one of them died, first at index {lost[0].index}: {lost[0].message}. "
-                "The same call or command repeats these episodes; a policy that ends its own process must be mended"
+                f"policy '{policy.name}' has no rate, since {lost}; a policy that ends its own process must be mended"
             )
 
 

@@ -90,7 +90,9 @@ def test_episode_that_was_not_played_is_no_result(tmp_path, reason):
 def test_policy_that_lost_all_its_processes_has_no_rate(tmp_path):
     results = (EpisodeResult(episode_id="e-0", index=0, outcome="success"), lost(reason="worker_died", index=1))
     require_played([PolicyResult(name="p", results=results[:1], folder=tmp_path)])
-    with pytest.raises(EvaluationError, match="'p' did not play 1 of 2 episodes.*no rate.*at index 1: gone"):
+    with pytest.raises(
+        EvaluationError, match="'p' has no rate, since 1 of 2 episodes were not played.*at index 1: gone"
+    ):
         require_played([PolicyResult(name="p", results=results, folder=tmp_path)])
 
 
