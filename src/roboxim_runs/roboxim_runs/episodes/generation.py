@@ -14,6 +14,7 @@ from roboxim_core.limits import ATTEMPTS, require_range
 from roboxim_core.shards import Shard
 from roboxim_runs.episodes.pictures import write_contact_sheet
 from roboxim_runs.episodes.run import EpisodesJob, not_played, run_environment, run_episodes
+from roboxim_runs.episodes.task_choice import cells_of
 from roboxim_runs.episodes_config import EpisodesConfig
 from roboxim_runs.events import EpisodeFinished, Event, OnEvent, PictureWritten, ignore
 from roboxim_runs.executors import Cancellation, Executor
@@ -61,14 +62,17 @@ class GenerationConfig(EpisodesConfig):
         Raises:
             ConfigError: When the task or a number is wrong.
         """
+        from roboxim_runs.episodes.definitions import definitions_of, task_files
+
+        text = self.task_text()
         config = self.run_config(
-            self.task_text(), purpose="demo", actor="expert",
+            text, purpose="demo", actor="expert",
             keep="first_try" if self.first_try else "successful", max_attempts=self.max_attempts,
             noise_translation_m=self.noise_mm / 1000, noise_rotation_rad=self.noise_mrad / 1000,
         )  # fmt: skip
         return EpisodesJob(
             config=config, episodes=self.episodes, shard=Shard.parse(self.shard), workers=self.workers,
-            renderer=self.renderer, store=self.store,
+            renderer=self.renderer, store=self.store, definitions=definitions_of(cells_of(text), task_files(text)),
         )  # fmt: skip
 
 

@@ -49,6 +49,8 @@ class EpisodesJob:
     """Policies that every worker serves."""
     policy_files: Mapping[str, str] = field(default_factory=dict)
     """Files that define the policies, each with its content's hash; see `roboxim_policies.identity`."""
+    definitions: Mapping[str, str] = field(default_factory=dict)
+    """Files that the task names, each with its content's hash; see `roboxim_runs.episodes.definitions`."""
     server: Mapping[str, Any] = field(default_factory=dict)
     """What identifies the server of a remote policy; see `roboxim_runs.policies.server_records`."""
     store: str = ""
@@ -91,6 +93,7 @@ class EpisodesJob:
             "renderer": self.renderer,
             "policies": [to_plain(launch) for launch in self.policies],
             **({"policy_files": dict(self.policy_files)} if self.policy_files else {}),
+            **({"definitions": dict(self.definitions)} if self.definitions else {}),
             **self.server,
         }
 

@@ -23,6 +23,7 @@ from roboxim_core.seeds import CELL
 if TYPE_CHECKING:
     from roboxim_core.models.library import ModelLibrary
     from roboxim_tasks.config import TaskMix
+    from roboxim_tasks.task_config import TaskConfig
 
 DEFAULT_TASK = "pick_cube"
 SEEN_WHOLE = {"workspace": "whole", "workspace_side": "whole_side"}
@@ -205,6 +206,14 @@ def mix_of(task_config: str) -> TaskMix | None:
 
     config = parse_task_config(task_config)
     return config if isinstance(config, TaskMix) else None
+
+
+def cells_of(task_config: str) -> Sequence[TaskConfig]:
+    """Return the tasks of a configuration: the cells of a mix, or the task itself."""
+    from roboxim_tasks.config import TaskMix, parse_task_config
+
+    config = parse_task_config(task_config)
+    return config.cells if isinstance(config, TaskMix) else (config,)
 
 
 def shares_text(mix: TaskMix, episodes: int) -> str:

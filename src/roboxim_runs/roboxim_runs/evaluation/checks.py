@@ -18,14 +18,6 @@ if TYPE_CHECKING:
     from roboxim_tasks.task_config import TaskConfig
 
 
-def cells_of(task_config: str) -> Sequence[TaskConfig]:
-    """Return the tasks of a configuration: the cells of a mix, or the task itself."""
-    from roboxim_tasks.config import TaskMix, parse_task_config
-
-    config = parse_task_config(task_config)
-    return config.cells if isinstance(config, TaskMix) else (config,)
-
-
 def require_cameras(chosen: Sequence[ChosenPolicy], cells: Sequence[TaskConfig]) -> None:
     """Refuse a policy that needs a camera which the task's scenes lack, where its cameras are known.
 

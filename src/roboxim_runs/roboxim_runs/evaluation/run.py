@@ -21,9 +21,9 @@ from roboxim_core.shards import Shard
 from roboxim_eval.film_options import FilmOptions
 from roboxim_policies.remote import SERVERS_OWN
 from roboxim_runs.episodes.run import EpisodesJob, run_environment, run_episodes
+from roboxim_runs.episodes.task_choice import cells_of
 from roboxim_runs.episodes_config import EpisodesConfig
 from roboxim_runs.evaluation.checks import (
-    cells_of,
     require_cameras,
     require_local,
     require_played,
@@ -127,6 +127,8 @@ def evaluate(
         RoboximError: When a graph has a fault that a new worker does not recover from.
         UnavailableError: When a policy's server stays away.
     """
+    from roboxim_runs.episodes.definitions import definitions_of, task_files
+
     named = config.policies
     chosen = find_policies(named if isinstance(named, Sequence) and not isinstance(named, str) else [named])
     require_local(chosen, executor, config.workers)
@@ -141,7 +143,11 @@ def evaluate(
     warnings = view_warnings(chosen, cells)
     for warning in warnings:
         on_event(Notice(text=warning))
-    jobs = {policy.name: _job(config, policy, text, _server(config, policy, on_event)) for policy in chosen}
+    definitions = definitions_of(cells, task_files(text))
+    jobs = {
+        policy.name: replace(_job(config, policy, text, _server(config, policy, on_event)), definitions=definitions)
+        for policy in chosen
+    }
     for policy in chosen:
         require_same_policy(policy.name, jobs[policy.name], out / policy.name, repair=config.repair)
         jobs[policy.name].upload.require_own(jobs[policy.name].identity, repair=config.repair)

@@ -1,8 +1,4 @@
-"""Hashes of the files that an experiment's file refers to: tasks, scenes, cameras and models.
-
-A stage's inputs contain them. An edit of such a file changes how episodes are drawn or judged, so a folder with
-episodes refuses other definitions.
-"""
+"""Hashes of the files that an experiment's file refers to, by which a folder with episodes refuses edited ones."""
 
 from __future__ import annotations
 
@@ -10,16 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.config import digest, load_config, load_yaml
-from roboxim_core.config_folders import named_config
-from roboxim_core.models.library import ModelLibrary
-from roboxim_core.specs import SceneSpec
 from roboxim_eval.experiments import Design, mix_of
 from roboxim_eval.experiments.config import TASK
+from roboxim_runs.episodes.definitions import definitions_of
 from roboxim_runs.experiments.card import evaluation_folder
 from roboxim_runs.policies.specs import PolicySpec, find_policies
 from roboxim_runs.storage.folder import RunFolder
-from roboxim_tasks.components.cameras import CamerasResetConfig
 from roboxim_tasks.config import task_mix
 from roboxim_tasks.task_config import TaskConfig
 
@@ -45,9 +37,7 @@ def tasks_of(design: Design) -> dict[str, list[TaskConfig]]:
 
 
 def definitions(design: Design) -> dict[str, str]:
-    """Return the hashes of all tasks, scenes, cameras and models of an experiment, e.g. ``{"task pick_up": ...}``.
-
-    A file's hash is that of its parsed content: a comment does not change it. A model's is also that of its meshes.
+    """Return the hashes of all files that an experiment refers to, see `definitions_of`.
 
     Args:
         design: The experiment.
@@ -55,38 +45,8 @@ def definitions(design: Design) -> dict[str, str]:
     Raises:
         ConfigError: When a file is missing or invalid.
     """
-    library = ModelLibrary()
     tasks = [task for cell_tasks in tasks_of(design).values() for task in cell_tasks]
-    scenes = {name: load_config(named_config("scenes", name), SceneSpec) for name in {task.scene for task in tasks}}
-    cameras = {name for task in tasks for name in _cameras(task)}
-    models = {scene.robot.model for scene in scenes.values()}
-    models |= {task.robot for task in tasks if task.robot}
-    models |= {entity.model for scene in scenes.values() for entity in scene.entities}
-    models |= {model for task in tasks for model in _models(task)}
-    files = {"tasks": list(map(str, design.config.factors[TASK])), "scenes": scenes, "cameras": cameras}
-    return {
-        **{
-            f"{kind.removesuffix('s')} {name}": digest(load_yaml(named_config(kind, name)))
-            for kind, names in files.items()
-            for name in sorted(names)
-        },
-        **{f"model {name}": library.digest(name) for name in sorted(models)},
-    }
-
-
-def _cameras(task: TaskConfig) -> set[str]:
-    config = task.reset.get("cameras")
-    if not isinstance(config, CamerasResetConfig):
-        return set()
-    views = {str(name) for choice in config.views.values() for name in choice.values}
-    return {*config.names, *views}
-
-
-def _models(task: TaskConfig) -> set[str]:
-    """Return the models that a scene of a task can have."""
-    named = {str(model) for one in task.objects.values() for model in one.models.values}
-    some = task.distractors
-    return {*named, *some.always, *(map(str, some.models.values) if some.maximum else ())}
+    return definitions_of(tasks, map(str, design.config.factors[TASK]))
 
 
 def changed_definitions(stored: Mapping[str, Any], now: Mapping[str, str]) -> str:
