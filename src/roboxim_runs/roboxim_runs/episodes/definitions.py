@@ -24,6 +24,7 @@ from roboxim_tasks.fixed_scene import FixedTaskConfig
 from roboxim_tasks.task_config import TaskConfig
 
 SURFACES = ("table", "floor", "wall")
+"""Surfaces with a texture."""
 
 
 def definitions_of(tasks: Sequence[TaskConfig], names: Iterable[str] = ()) -> dict[str, str]:
@@ -92,21 +93,22 @@ def _yaml_files(task: TaskConfig) -> Iterator[tuple[str, str]]:
 def _other_files(task: TaskConfig) -> Iterator[str]:
     """Yield the paths of other files: the skill's, and images of textures."""
     yield task.skill_file.rpartition(":")[0] or task.skill_file
-    yield from _pictures(task.base_scene().look)
+    yield from pictures_of(task.base_scene().look)
     look, surfaces = task.reset.get("look"), task.reset.get("surfaces")
     if isinstance(look, LookResetConfig) and look.set:
         for room in named("looks", look.set, LookSet).looks.values():
-            yield from _pictures(room.look)
+            yield from pictures_of(room.look)
     if isinstance(surfaces, SurfacesResetConfig):
         textures = (getattr(surfaces, surface).texture for surface in SURFACES)
-        yield from (_picture(str(name)) for one in textures if one is not None for name in one.values)
+        yield from (picture_of(str(name)) for one in textures if one is not None for name in one.values)
 
 
-def _pictures(look: LookSpec) -> Iterator[str]:
-    yield from (_picture(getattr(look, surface).texture) for surface in SURFACES)
+def pictures_of(look: LookSpec) -> Iterator[str]:
+    """Yield the paths of the images of a look's textures; empty: a built-in texture."""
+    yield from (picture_of(getattr(look, surface).texture) for surface in SURFACES)
 
 
-def _picture(texture: str) -> str:
+def picture_of(texture: str) -> str:
     """Return the path of a texture's image; empty: it is a built-in one."""
     return texture.partition("#")[0] if "/" in texture else ""
 

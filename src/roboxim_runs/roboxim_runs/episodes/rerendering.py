@@ -34,16 +34,16 @@ from roboxim_recorder.bag import BagReader, find_episode
 from roboxim_recorder.recording import EpisodeRecording
 from roboxim_recorder.run_bags import list_bags
 from roboxim_ros.messages.conversions import from_msg, to_msg
+from roboxim_runs.episodes.definitions import SURFACES, picture_of, pictures_of
 from roboxim_runs.events import OnEvent, Reporter, ReportProgress, ignore
 from roboxim_runs.executors import Cancellation, Executor, Job, Note, Work, run_required
 from roboxim_runs.storage.folder import RunFolder, checked_path
+from roboxim_runs.storage.store import file_sha256
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.camera_effects import CameraRig
 from roboxim_sim.rendering.photo import THREADS_VARIABLE
 from roboxim_sim.rendering.textures import pixels
 from roboxim_sim.tick_messages import TickMessages
-
-SURFACES = ("table", "floor", "wall")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +84,12 @@ class RerenderConfig:
                 raise ConfigError(f"no surface '{surface}'; {one_of(SURFACES, surface)}")
             pixels(texture)
 
+    @property
+    def files(self) -> dict[str, dict[str, str]]:
+        """Images of textures with their hashes, for the run's configuration; empty: all textures are built-in."""
+        named = {*map(picture_of, self.textures.values()), *(pictures_of(self.look) if self.look else ())} - {""}
+        return {"files": {path: file_sha256(Path(path)) for path in sorted(named)}} if named else {}
+
     def scene(self, info: EpisodeInfo) -> SceneSpec:
         """Return an episode's scene with the changes applied.
 
@@ -101,6 +107,27 @@ class RerenderConfig:
         if self.background:
             look = replace(look, background=self.background)
         return replace(info.scene, look=look, cameras=tuple(self._cameras(info)))
+
+    def info(self, info: EpisodeInfo, renderer: str) -> EpisodeInfo:
+        """Return what defines an episode that is rendered again, with the changes applied.
+
+        Args:
+            info: The recorded episode's.
+            renderer: Renderer and device.
+
+        Raises:
+            ConfigError: On an unknown camera.
+            InvalidRequestError: When a change makes no valid scene.
+        """
+        scene = self.scene(info)
+        return replace(
+            info,
+            scene=scene,
+            renderer=renderer,
+            rerendered_from=info.episode_id,
+            config_json=json.dumps(json.loads(info.config_json) | {"rerender": to_plain(self)}),
+            recorded={**info.recorded, **recorded_parameters(info.task, scene)},
+        )
 
     def _cameras(self, info: EpisodeInfo) -> Iterator[CameraSpec]:
         recorded = {camera.name: camera for camera in info.scene.cameras}
@@ -153,16 +180,8 @@ class Rerenderer:
         """
         reader = BagReader(source)
         info = reader.info
-        scene = self.config.scene(info)
-        changed = json.loads(info.config_json) | {"rerender": to_plain(self.config)}
-        new = replace(
-            info,
-            scene=scene,
-            renderer=f"{self._renderer.name} ({self._renderer.device})",
-            rerendered_from=info.episode_id,
-            config_json=json.dumps(changed),
-            recorded={**info.recorded, **recorded_parameters(info.task, scene)},
-        )
+        new = self.config.info(info, f"{self._renderer.name} ({self._renderer.device})")
+        scene = new.scene
         known = {*topics.OWN, *topics.scene_topics(info.scene), *topics.scene_topics(scene)}
         extra = {topic: kind for topic, kind in reader.types.items() if topic not in known}
         recording = EpisodeRecording(out, new, _cdr(to_msg(new, EpisodeInfoMsg)), extra)
@@ -274,7 +293,8 @@ def rerender(
 
     Raises:
         CancelledError: When the run was cancelled.
-        ConfigError: When the folder holds another run, a camera is unknown, or two bags are of one episode.
+        ConfigError: When the folder holds another run, or a rendering of another recording, a camera is unknown, or
+            two bags are of one episode.
         RoboximError: When a bag is damaged or cannot be drawn, or workers die; the same call continues afterwards.
     """
     checked_path(out)
@@ -284,10 +304,10 @@ def rerender(
     folder, reporter = RunFolder(out), Reporter(on_event)
     with (
         reporter.resumable("the same call or command renders the missing bags"),
-        folder.opened({"rerender": to_plain(config)}),
+        folder.opened({"rerender": to_plain(config), **config.files}),
     ):
         recorded = {result.episode_id for result in folder.results()}
-        done = {name for name in episodes if find_episode(folder.path, name)}
+        done = {name for name, reader in episodes.items() if _is_rendered(reader, config, folder.path)}
         for name in done - recorded:  # killed between the bag and its line
             bag = folder.path / "episodes" / name
             folder.append(replace(BagReader(bag).result, bag=str(bag.relative_to(folder.path))))
@@ -310,6 +330,24 @@ def rerender(
     library = ModelLibrary()
     changed = {model for reader in episodes.values() for model in library.changed(reader.info.models)}
     return Rerendered(made=len(missing), there=len(done), changed=tuple(sorted(changed)))
+
+
+def _is_rendered(reader: BagReader, config: RerenderConfig, out: Path) -> bool:
+    """Return whether a run has the rendering of a bag.
+
+    Raises:
+        ConfigError: When it has the rendering of another recording of that name.
+    """
+    bag = find_episode(out, reader.info.episode_id)
+    if bag is None:
+        return False
+    there = BagReader(bag)
+    if there.info != config.info(reader.info, there.info.renderer) or there.result != reader.result:
+        raise ConfigError(
+            f"{bag} is not the rendering of {reader.path}, but of another recording with that name, or with another "
+            "state of its cameras' files; choose another output folder (--out or out=)"
+        )
+    return True
 
 
 class _Ticks:

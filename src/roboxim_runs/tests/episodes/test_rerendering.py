@@ -121,6 +121,9 @@ def test_an_interrupted_run_goes_on_and_another_is_refused(recorded: Path, tmp_p
     assert len((tmp_path / "out" / "results.jsonl").read_text().splitlines()) == 2
     with pytest.raises(ConfigError, match="another configuration"):
         rerender(bags, tmp_path / "out", RerenderConfig(width=32, height=32))
+    rerender(bags, tmp_path / "other", RerenderConfig(width=32, height=32))
+    with pytest.raises(ConfigError, match=rf"out/episodes/{bags[0].name} is not the rendering of .*other/episodes"):
+        rerender(list_bags(tmp_path / "other"), tmp_path / "out", config)
 
 
 def test_impossible_requests_are_refused_before_rendering(recorded: Path, tmp_path: Path) -> None:
