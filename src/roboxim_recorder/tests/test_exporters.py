@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError
+from roboxim_core.specs import LookSpec
+from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_datasets.rlds import RldsReader
 from roboxim_datasets.rlds.episodes import from_rlds
 from roboxim_recorder.export import EXPORTERS, DatasetContents, Selection, export_bags
@@ -82,6 +85,26 @@ def test_a_format_is_one_class(run, tmp_path, monkeypatch, fake):
     np.testing.assert_array_equal(steps[2].action_executed, np.float32(fake(index=1).label(3)))
     with pytest.raises(InvalidRequestError, match="no camera 'wirst'; .*did you mean 'wrist'"):
         next(episode.steps(["wirst"]))
+
+
+def test_bags_that_differ_in_their_pictures_alone_are_other_bags(tmp_path, monkeypatch, fake):
+    """As renderings of one run: episodes, states and cameras are the same."""
+
+    class Evening(fake):
+        """An episode in another light."""
+
+        @property
+        def scene(self):
+            return replace(super().scene, look=LookSpec(ambient=(0.1, 0.1, 0.1)))
+
+    monkeypatch.setitem(EXPORTERS._items, "list", ListExporter)
+    reports = []
+    for place, episode in (("day", fake), ("evening", Evening)):
+        for index in range(2):
+            episode(index=index).record(tmp_path / place)
+        reports.append(export_bags("list", tmp_path / place, tmp_path / f"{place} list", ListConfig()))
+    day, evening = (json.loads((report.path / EXPORT_FILE).read_text())["identity"] for report in reports)
+    assert day != evening
 
 
 def test_an_unknown_format_and_anothers_configuration_are_refused(run, tmp_path):

@@ -189,10 +189,9 @@ def _identity(name: str, chosen: Chosen, content: Content, config: Selection) ->
     found = hashlib.blake2b(f"{name} {to_json(config)} {digest(content.convention)}".encode(), digest_size=16)
     for split, sources in chosen.splits.items():
         for source in sources:
-            result, cameras = source.result, digest(source.info.scene.cameras)
+            result = source.result
             found.update(
-                f"{split} {result.episode_id} {result.last_seq} {result.final_state_hash} {cameras}"
-                f"{_edits(source)}\n".encode()
+                f"{split} {result.last_seq} {result.final_state_hash} {digest(source.info)}{_edits(source)}\n".encode()
             )
     return found.hexdigest()
 
