@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from roboxim_core.episode import ActorPort, Draw, RunConfig
-from roboxim_core.errors import ConfigError, ErrorCode, SimError
+from roboxim_core.errors import ConfigError, ErrorCode, SimError, TaskError
 from roboxim_core.seeds import SeedPath
 from roboxim_eval.answers.moments import SceneComparison, first_success, phase_at
 from roboxim_runs.answers.hand_over import HandOver
@@ -44,7 +44,8 @@ def compare(
 
     Raises:
         ConfigError: When the policies act by different control modes.
-        RoboximError: When a scene cannot be drawn, or on a fault of the simulator.
+        PolicyError: When a policy raises.
+        RoboximError: When a scene cannot be drawn or breaks a constraint, or on a fault of the simulator.
     """
     modes = {actor.describe().semantics.control for actor in (first, second)}
     if len(modes) > 1:
@@ -89,7 +90,10 @@ class _Scene:
 
     def _alone(self, name: str, actor: ActorPort) -> Try:
         self._on_part(self._seed.index, f"the {name} policy runs")
-        return self._bench.run(self._draw, actor, self._seed, config=self._run)
+        found = self._bench.run(self._draw, actor, self._seed, config=self._run)
+        if not found.began:
+            raise TaskError(f"scene {self._seed.index}: {found.result.message}", ErrorCode.RESET_INFEASIBLE)
+        return found
 
     def _success(self, before: Try, tick: int, then: ActorPort) -> bool:
         """Return whether an actor succeeds from a tick of another one's episode.

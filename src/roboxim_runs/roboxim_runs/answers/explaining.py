@@ -65,6 +65,7 @@ def explain(
 
     Raises:
         ConfigError: When nothing can be changed, or the bag does not say how it was run.
+        PolicyError: When the policy raises.
         RoboximError: On a fault of the simulator.
     """
     config = config or ExplainConfig()

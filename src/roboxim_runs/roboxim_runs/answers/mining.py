@@ -152,6 +152,7 @@ def mine(
 
     Raises:
         ConfigError: When the task has no factors.
+        PolicyError: When the policy raises.
         RoboximError: On a fault of the simulator.
     """
     factors = factors_of(config.task_config, config.factors)

@@ -23,7 +23,7 @@ from roboxim_core.episode import (
     RunConfig,
     SimPort,
 )
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, PolicyError
 from roboxim_core.seeds import SeedPath
 from roboxim_core.state import StateRecord
 
@@ -173,6 +173,7 @@ class TryBench:
             bags: Folder for a bag of it; none: there is none.
 
         Raises:
+            PolicyError: When the actor raises, or answers what cannot be executed: that is no failure at the task.
             RoboximError: On a fault of the simulator.
         """
         from roboxim_bringup.core_graph import CoreRecorder
@@ -183,7 +184,13 @@ class TryBench:
         runner = episode_loop(self.graph, draw, actor, recorder, config=given, sim=sim)
         self.runs += 1
         result = runner.run_attempt(seed)
-        return Try(result=result, states=tuple(recorder_of_states.states), info=recorder_of_states.info)
+        tried = Try(result=result, states=tuple(recorder_of_states.states), info=recorder_of_states.info)
+        if result.outcome == "error" and tried.began:
+            raise PolicyError(
+                f"episode {result.episode_id} ended in an error of its policy ({result.reason}), which is no failure "
+                f"at the task: {result.message}; mend the policy and run the command again"
+            )
+        return tried
 
 
 def seed_of(info: EpisodeInfo) -> SeedPath:
