@@ -70,7 +70,8 @@ def decode_map(part: dict[Any, Any]) -> Any:
     if part.get(b"__npgeneric__"):
         number = part.get(b"data")
         if not isinstance(number, bool | int | float):
-            raise unreadable(f"a number of type {echo(part.get(b'dtype'))} must be a number, got {echo(number)}")
+            kind = echo(part.get(b"dtype"))
+            raise unreadable(f"'data' of a NumPy scalar of type {kind} must be a number, got {echo(number)}")
         return checked_dtype(part.get(b"dtype")).type(number)
     return part
 
