@@ -258,7 +258,7 @@ def test_no_model_file_holds_an_absolute_path(robot_id: str) -> None:
 
 def test_the_default_robot_has_few_enough_triangles_for_a_renderer_without_a_gpu() -> None:
     robot = LIBRARY.robot("panda")
-    parts = robot_parts(robot.id, robot.urdf)
+    parts = robot_parts(robot.urdf, robot.mesh_colors)
     assert sum(len(part.mesh.faces) for link in parts.values() for part in link) <= 11_500
     assert len(parts) == 11
 

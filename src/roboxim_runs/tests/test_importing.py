@@ -14,14 +14,19 @@ from click.testing import CliRunner
 from roboxim_cli.main import group
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.check import check_object
+from roboxim_core.models.description import Visual
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.modifiers import PALETTE
+from roboxim_core.models.visuals import visual_parts
 from roboxim_core.poses import Pose
+from roboxim_core.vision.srgb import to_linear
+from roboxim_runs.assets.check import simplify, turned
 from roboxim_runs.assets.floating_gripper import floating
 from roboxim_runs.assets.floating_hand import try_grasp
 from roboxim_runs.assets.grasp_search import antipodal_pairs
 from roboxim_runs.assets.importing import ImportOptions, guessed_unit, import_mesh, object_id_of
 from roboxim_runs.assets.shape_affordances import regions_of
-from roboxim_runs.assets.solids import EFFORTS, convex_parts, repaired
+from roboxim_runs.assets.solids import EFFORTS, convex_parts, placed, repaired
 from roboxim_sim.bullet import BulletClient
 
 pytest.importorskip("coacd")
@@ -86,6 +91,51 @@ def test_a_hollow_a_top_and_neither_are_told_apart():
     assert (top.kind, top.pose.position[2]) == ("surface", 0.015)
     assert 0.05 < top.size[0] < 0.06
     assert regions_of([ball]) == []
+
+
+def test_the_materials_of_an_obj_file_are_those_of_its_glb(tmp_path):
+    """Two materials and no metal: the factors of a GLB are linear, and metallic is 1 where a GLB states nothing."""
+    given = {"red": (0.8, 0.1, 0.05), "grey": (0.25, 0.25, 0.25)}
+    (tmp_path / "m.mtl").write_text("".join(f"newmtl {name}\nKd {r} {g} {b}\n" for name, (r, g, b) in given.items()))
+    lines, first = ["mtllib m.mtl"], 1
+    for name, x in zip(given, (0.0, 0.2), strict=True):
+        box = trimesh.creation.box((0.1, 0.1, 0.1))
+        box.apply_translation((x, 0, 0))
+        lines += [f"usemtl {name}", *("v {} {} {}".format(*point) for point in box.vertices)]
+        lines += ["f {} {} {}".format(*(face + first)) for face in box.faces]
+        first += len(box.vertices)
+    (tmp_path / "two.obj").write_text("\n".join(lines) + "\n")
+    scene, _ = placed(tmp_path / "two.obj", 1.0, "z")
+    (tmp_path / "placed.glb").write_bytes(scene.export(file_type="glb"))
+    simplify(tmp_path / "two.obj", 12, tmp_path / "simple.glb")
+    for file in ("two.obj", "placed.glb", "simple.glb", turned(tmp_path / "two.obj").name):
+        parts = visual_parts(Visual(kind="mesh", mesh=str(tmp_path / file)))
+        found = sorted(part.material.color for part in parts)
+        assert found == [pytest.approx(color, abs=0.02) for color in sorted(given.values())], file
+        assert {part.material.metallic for part in parts} == {0.0}, file
+
+
+def test_a_simpler_mesh_keeps_the_colours_of_its_vertices(tmp_path):
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    ball.visual.vertex_colors = np.where(ball.vertices[:, 2:] > 0, [200, 40, 30, 255], [20, 60, 180, 255]).astype(
+        np.uint8
+    )
+    simplify(exported(ball, tmp_path / "ball.ply"), 300, tmp_path / "ball.glb")
+    parts = visual_parts(Visual(kind="mesh", mesh=str(tmp_path / "ball.glb")))
+    assert len(parts) > 1
+    for part in parts:
+        height = part.mesh.vertices[part.mesh.faces].mean(axis=1)[:, 2]
+        if abs(height.mean()) > 0.1:
+            assert (part.material.color[0] > part.material.color[2]) == (height.mean() > 0)
+
+
+@pytest.mark.thorough
+def test_the_colour_of_a_glb_file_becomes_its_word(tmp_path):
+    box = trimesh.creation.box((0.05, 0.05, 0.05))
+    color = [*to_linear(PALETTE["brown"]), 1.0]
+    box.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(baseColorFactor=color))
+    made = import_mesh(exported(box, tmp_path / "it.glb"), tmp_path / "objects", ImportOptions(grasps=1, tries=1))
+    assert yaml.safe_load(made.file.read_text())["modifiers"] == {"color": {"default": "brown"}}
 
 
 @pytest.mark.parametrize("broken", ["inside out", "hole", "whole"])

@@ -403,6 +403,9 @@ class RobotModel:
     """Largest motor torque used by the sim [N m]."""
     close_pairs: tuple[ClosePair, ...] = ()
     """Pairs of links that the planner checks with finer geometry."""
+    mesh_colors: str = "srgb"
+    """What the colour factors in the GLB files of its URDF are: ``srgb``, as `roboxim robot new` writes them, or
+    ``linear``, as glTF states. Textures are sRGB in both."""
     rotations: int = 3
     """Directions in which the tool turns while it stays where it is: 3 with six joints or more, 2 with five. With 2,
     the tool goes to a place first and turns as far as it can there, and skills that need all three are refused."""
@@ -415,11 +418,13 @@ class RobotModel:
     placed off it. Empty: the arm stands beside the table."""
 
     def __post_init__(self) -> None:
-        """Check that every list has one number per joint, the rotations, the start and the stand.
+        """Check that every list has one number per joint, the colours' meaning, the rotations, the start and the stand.
 
         Raises:
             ConfigError: Naming the list.
         """
+        if self.mesh_colors not in ("srgb", "linear"):
+            raise ConfigError(f"mesh_colors: expected srgb or linear, got '{self.mesh_colors}'")
         if self.stand and (len(self.stand) != 4 or self.stand[0] >= self.stand[2] or self.stand[1] >= self.stand[3]):
             raise ConfigError(f"stand: expected least x, least y, greatest x, greatest y, got {list(self.stand)}")
         least, greatest = self.start[:3], self.start[3:]

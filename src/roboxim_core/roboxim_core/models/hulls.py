@@ -26,10 +26,19 @@ if TYPE_CHECKING:
 
 LARGEST = 1e6
 """Largest coordinate of a mesh, in the file's units."""
+UNIT_FORMATS = (".dae", ".zae", ".3mf", ".3dxml", ".xaml")
+"""Formats that state a unit. Their hulls have other names in the cache than those of versions that did not heed it."""
 
 
-def load_scene(path: Path | str) -> trimesh.Scene:
-    """Return a mesh file as the scene of its parts, in the file's units.
+def load_scene(path: Path | str, *, merge: bool = False) -> trimesh.Scene:
+    """Return a mesh file as the scene of its parts.
+
+    Lengths are the file's numbers; where a file of another unit than the metre states it, as COLLADA and 3MF do, they
+    are metres.
+
+    Args:
+        path: The file.
+        merge: Whether equal vertices become one, of formats other than glTF.
 
     Raises:
         ConfigError: When it cannot be read, or a part has wrong vertices or faces.
@@ -37,7 +46,10 @@ def load_scene(path: Path | str) -> trimesh.Scene:
     import trimesh
 
     try:
-        scene = trimesh.load_scene(path, process=False)
+        scene = trimesh.load_scene(path) if merge else trimesh.load_scene(path, process=False)
+        unit = next((str(part.units) for part in scene.geometry.values() if part.units), "m")
+        if (metres := trimesh.units.unit_conversion(unit, "m")) != 1.0:
+            scene.apply_transform(np.diag([metres, metres, metres, 1.0]))
     except Exception as error:  # trimesh's readers raise exceptions of any class
         raise ConfigError(f"cannot read the mesh {path}: {type(error).__name__}: {error}") from None
     for part in scene.geometry.values():
@@ -86,7 +98,8 @@ def hull_file(path: str) -> str:
         content = Path(path).read_bytes()
     except OSError as error:
         raise ConfigError(f"cannot read the mesh {path}: {error.strerror}") from None
-    name = hashlib.blake2b(content, digest_size=12).hexdigest()
+    how = b"metres" if Path(path).suffix.lower() in UNIT_FORMATS else b""
+    name = hashlib.blake2b(content, digest_size=12, person=how).hexdigest()
     file = cache_dir() / "hulls" / f"{name}.obj"
     if not file.is_file():
         hull = hull_of(path)

@@ -199,7 +199,7 @@ def _link(element: ElementTree.Element, path: Path, materials: dict[str, Element
         name=name,
         mass=mass,
         collision=tuple(_shape(collision, path) for collision in element.findall("collision")),
-        visual=tuple(_visual(visual, path, materials) for visual in element.findall("visual")),
+        visual=tuple(urdf_visual(visual, path, materials) for visual in element.findall("visual")),
     )
 
 
@@ -212,7 +212,17 @@ def _shape(element: ElementTree.Element, path: Path) -> Shape:
     )
 
 
-def _visual(element: ElementTree.Element, path: Path, materials: dict[str, ElementTree.Element]) -> Visual:
+def urdf_visual(element: ElementTree.Element, path: Path, materials: dict[str, ElementTree.Element]) -> Visual:
+    """Return a ``<visual>`` of a URDF.
+
+    Args:
+        element: The element.
+        path: The URDF.
+        materials: Its materials by name.
+
+    Raises:
+        ConfigError: When it has no valid geometry, origin or colour.
+    """
     kind, size, mesh, scale = _geometry(element, path)
     material = element.find("material")
     if material is not None and material.find("color") is None:

@@ -10,7 +10,6 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -24,15 +23,12 @@ from roboxim_core.models.description import Visual
 from roboxim_core.models.hulls import load_scene
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.meshes import box_mesh, triangles, visual_generators
-from roboxim_core.models.urdf import mesh_path, origin_pose
+from roboxim_core.models.surfaces import is_linear, visual_parts_of
+from roboxim_core.models.urdf import urdf_visual
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.specs import CameraSpec, MaterialSpec, SceneSpec, TableSpec
 from roboxim_core.state import RobotState, StateRecord
 from roboxim_core.vision.renderer import RenderBody, RenderWorld, TriangleMesh, VisualPart
-from roboxim_core.vision.textures import base_color_image
-
-if TYPE_CHECKING:
-    import trimesh
 
 FLOOR_Z = -0.75
 """Height of the floor in the world [m]; the table's top is at 0."""
@@ -49,35 +45,43 @@ def visual_parts(visual: Visual) -> tuple[VisualPart, ...]:
         ConfigError: On an unknown kind, or a mesh that cannot be read.
     """
     if visual.kind in ("mesh", "hull"):
-        parts = _load_mesh(visual.mesh)
-        if visual.tinted or visual.material != MaterialSpec():
-            parts = tuple(VisualPart(mesh=part.mesh, material=visual.material) for part in parts)
-    else:
-        try:
-            mesh = visual_generators[visual.kind](visual.size)
-        except (IndexError, ValueError) as error:
-            raise ConfigError(f"visual of kind '{visual.kind}' cannot have size {visual.size}: {error}") from None
-        parts = (VisualPart(mesh=mesh, material=visual.material),)
+        return _mesh_parts(visual, linear=is_linear(visual.mesh))
+    try:
+        mesh = visual_generators[visual.kind](visual.size)
+    except (IndexError, ValueError) as error:
+        raise ConfigError(f"visual of kind '{visual.kind}' cannot have size {visual.size}: {error}") from None
+    part = VisualPart(mesh=mesh, material=visual.material)
+    return (_placed(_stretched(part, visual.scale), visual.pose),)
+
+
+def _mesh_parts(visual: Visual, *, linear: bool) -> tuple[VisualPart, ...]:
+    parts = _load_mesh(visual.mesh, linear)
+    if visual.tinted or visual.material != MaterialSpec():
+        parts = tuple(VisualPart(mesh=part.mesh, material=visual.material) for part in parts)
     return tuple(_placed(_stretched(part, visual.scale), visual.pose) for part in parts)
 
 
 @lru_cache(maxsize=16)
-def robot_parts(robot_id: str, urdf: Path) -> dict[str, tuple[VisualPart, ...]]:
+def robot_parts(urdf: Path, mesh_colors: str) -> dict[str, tuple[VisualPart, ...]]:
     """Return the visuals of each link of a robot, from its URDF; links without visuals are omitted.
+
+    Args:
+        urdf: The URDF.
+        mesh_colors: Meaning of the colours in its GLB files, as `RobotModel.mesh_colors`.
 
     Raises:
         ConfigError: When a mesh of the URDF cannot be read.
     """
     parts: dict[str, tuple[VisualPart, ...]] = {}
-    for link in ElementTree.parse(urdf).getroot().iter("link"):
+    root = ElementTree.parse(urdf).getroot()
+    materials = {material.get("name", ""): material for material in root.findall("material")}
+    for link in root.iter("link"):
         found: list[VisualPart] = []
         for element in link.findall("visual"):
-            mesh = element.find("geometry/mesh")
-            if mesh is None:
+            if element.find("geometry/mesh") is None:
                 raise ConfigError(f"{urdf}: link '{link.get('name')}': only mesh visuals are supported for robots")
-            pose = origin_pose(element, str(urdf))
-            visual = Visual(kind="mesh", mesh=str(mesh_path(mesh.get("filename", ""), urdf)), pose=pose)
-            found.extend(visual_parts(visual))
+            visual = urdf_visual(element, urdf, materials)
+            found += _mesh_parts(visual, linear=mesh_colors == "linear" and is_linear(visual.mesh))
         if found:
             parts[link.get("name", "")] = tuple(found)
     return parts
@@ -102,7 +106,7 @@ def render_world(scene: SceneSpec, library: ModelLibrary) -> RenderWorld:
     ]
     bodies += [
         RenderBody(key=f"robot/{link}", entity="robot", parts=parts)
-        for link, parts in robot_parts(robot.id, robot.urdf).items()
+        for link, parts in robot_parts(robot.urdf, robot.mesh_colors).items()
     ]
     for entity in scene.entities:
         model = library.entity_model(entity)
@@ -280,42 +284,19 @@ def _plane(center: npt.ArrayLike, half_u: npt.ArrayLike, half_v: npt.ArrayLike) 
 
 
 @lru_cache(maxsize=128)
-def _load_mesh(path: str) -> tuple[VisualPart, ...]:
+def _load_mesh(path: str, linear: bool) -> tuple[VisualPart, ...]:
     import trimesh
 
     scene = load_scene(path)
-    parts = []
+    parts: list[VisualPart] = []
     for node in sorted(scene.graph.nodes_geometry):
         transform, name = scene.graph[node]
         if not isinstance(scene.geometry[name], trimesh.Trimesh):
             continue  # points and lines
         mesh = scene.geometry[name].copy(include_cache=True)  # the normals of the file are in the cache
         mesh.apply_transform(transform)
-        parts.append(VisualPart(mesh=_mesh_of(mesh), material=_material_of(mesh, f"{path}#{name}")))
+        parts += visual_parts_of(mesh, f"{path}#{name}", linear=linear)
     return tuple(parts)
-
-
-def _mesh_of(mesh: trimesh.Trimesh) -> TriangleMesh:
-    uv = getattr(mesh.visual, "uv", None)
-    return triangles(mesh.vertices, mesh.vertex_normals, mesh.faces, None if uv is None else np.asarray(uv))
-
-
-def _material_of(mesh: trimesh.Trimesh, name: str) -> MaterialSpec:
-    """Return a mesh's own material; `roboxim_core.vision.textures.pixels` finds its image by ``name``."""
-    import trimesh
-
-    material = getattr(mesh.visual, "material", None)
-    texture = name if base_color_image(mesh) is not None and getattr(mesh.visual, "uv", None) is not None else ""
-    if isinstance(material, trimesh.visual.material.PBRMaterial):
-        factor = material.baseColorFactor
-        r, g, b = (1.0, 1.0, 1.0) if factor is None else (float(c) / 255 for c in factor[:3])
-        metallic = 1.0 if material.metallicFactor is None else float(material.metallicFactor)
-        roughness = 1.0 if material.roughnessFactor is None else float(material.roughnessFactor)
-        return MaterialSpec(color=(r, g, b), metallic=metallic, roughness=roughness, texture=texture)
-    if isinstance(material, trimesh.visual.material.SimpleMaterial):
-        r, g, b = (float(c) / 255 for c in material.diffuse[:3])
-        return MaterialSpec(color=(1.0, 1.0, 1.0) if texture else (r, g, b), texture=texture)
-    return MaterialSpec()
 
 
 def _stretched(part: VisualPart, scale: Vec3) -> VisualPart:
@@ -328,6 +309,7 @@ def _stretched(part: VisualPart, scale: Vec3) -> VisualPart:
         part.mesh,
         vertices=(part.mesh.vertices * np.asarray(scale)).astype(np.float32),
         normals=(normals / lengths).astype(np.float32),
+        faces=part.mesh.faces if np.prod(scale) > 0 else np.ascontiguousarray(part.mesh.faces[:, ::-1]),
     )
     return replace(part, mesh=mesh)
 

@@ -17,8 +17,9 @@ from roboxim_core.episode.start import MOVED_M, TURNED_RAD
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.check import LARGEST_M, Finding, check_object
 from roboxim_core.models.description import ObjectModel
-from roboxim_core.models.hulls import hull_of, load_mesh
+from roboxim_core.models.hulls import hull_of, load_mesh, load_scene
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.surfaces import rewrite
 from roboxim_core.poses import Pose, distance
 from roboxim_core.specs import EntitySpec, TableSpec
 from roboxim_runs.assets.solids import UPS
@@ -121,9 +122,10 @@ def turned(mesh: Path) -> Path:
     Raises:
         ConfigError: When the mesh cannot be read.
     """
-    scene: Any = trimesh.load_scene(mesh, process=False)
+    scene: Any = load_scene(mesh)
     scene.apply_transform(Pose.from_arrays((0, 0, 0), Rotation.from_euler("x", math.pi / 2)).matrix)
     out = mesh.with_name(f"{mesh.stem}_z_up.glb")
+    rewrite(scene, mesh, out)
     out.write_bytes(scene.export(file_type="glb"))
     return out
 
@@ -176,7 +178,8 @@ def simplify(mesh: Path, triangles: int, out: Path) -> tuple[int, int]:
         ConfigError: When the mesh cannot be read.
     """
     before = len(load_mesh(mesh).faces)
-    scene: Any = trimesh.load_scene(mesh, process=False)
+    scene: Any = load_scene(mesh)
+    rewrite(scene, mesh, out)
     after = 0
     for name, part in scene.geometry.items():
         share = max(20, round(triangles * len(part.faces) / before))
@@ -187,8 +190,8 @@ def simplify(mesh: Path, triangles: int, out: Path) -> tuple[int, int]:
     return before, after
 
 
-def _simplified(part: trimesh.Trimesh, triangles: int) -> trimesh.Trimesh:
-    """Collapse edges. Texture coordinates come from the nearest original vertex."""
+def _simplified(part: Any, triangles: int) -> trimesh.Trimesh:
+    """Collapse edges. Texture coordinates and colours come from the nearest original vertex."""
     welded = trimesh.Trimesh(part.vertices, part.faces, process=True)
     points, faces = fast_simplification.simplify(
         welded.vertices.astype(np.float32), welded.faces, target_count=triangles, agg=4.0
@@ -199,4 +202,7 @@ def _simplified(part: trimesh.Trimesh, triangles: int) -> trimesh.Trimesh:
     if material is not None:
         _, nearest = part.kdtree.query(fewer.vertices)
         fewer.visual = visuals.TextureVisuals(uv=None if uv is None else uv[nearest], material=material)
+    elif part.visual.kind in ("vertex", "face"):
+        _, nearest = part.kdtree.query(fewer.vertices)
+        fewer.visual = visuals.ColorVisuals(fewer, vertex_colors=part.visual.vertex_colors[nearest])
     return fewer

@@ -21,6 +21,7 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.description import GraspAnnotation, ObjectModel, Region
 from roboxim_core.models.modifiers import PALETTE
 from roboxim_core.models.object_config import ObjectConfig
+from roboxim_core.models.surfaces import material_of
 from roboxim_core.poses import Array, Pose
 from roboxim_runs.assets.check import DENSITY, UNITS, check, simplify, stability
 from roboxim_runs.assets.floating_gripper import FRANKA_HAND, floating
@@ -325,10 +326,10 @@ def _textured(scene: Any) -> bool:
 
 
 def _nearest_colour(scene: Any) -> str:
-    """Return the palette's word for the colour of a scene of one part."""
+    """Return the palette's word for the colour of a scene of one part, whose colours are those of a GLB file."""
     (part,) = scene.geometry.values()
-    material = getattr(part.visual, "material", None)
-    colour = np.asarray(getattr(material, "main_color", (115, 117, 120, 255)))[:3] / 255.0
+    has_one = getattr(part.visual, "material", None) is not None
+    colour = material_of(part, "", linear=True).color if has_one else PALETTE["gray"]
     return min(PALETTE, key=lambda word: float(np.abs(np.subtract(PALETTE[word], colour)).sum()))
 
 

@@ -11,7 +11,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.errors import ConfigError, one_of
-from roboxim_core.models.hulls import load_mesh
+from roboxim_core.models.hulls import load_mesh, load_scene
+from roboxim_core.models.surfaces import rewrite
 from roboxim_core.poses import Array
 
 NEARLY_CONVEX = 0.95
@@ -48,6 +49,8 @@ EFFORTS = {
 def placed(file: Path, scale: float, up: str) -> tuple[Any, trimesh.Trimesh]:
     """Return a mesh file's scene and the single mesh of it, in metres, z up, the middle of its box at the origin.
 
+    The scene's colours are those of a GLB file.
+
     Args:
         file: Mesh file, of any format that trimesh reads.
         scale: Length of the file's unit [m].
@@ -59,7 +62,8 @@ def placed(file: Path, scale: float, up: str) -> tuple[Any, trimesh.Trimesh]:
     if up not in UPS:
         raise ConfigError(f"unknown up-axis '{up}'; {one_of(UPS, up)}")
     load_mesh(file)  # checks it
-    scene: Any = trimesh.load_scene(file, process=False)
+    scene: Any = load_scene(file)
+    rewrite(scene, file, Path("it.glb"))
     turn = np.eye(4)
     if up == "y":
         turn[:3, :3] = Rotation.from_euler("x", 90, degrees=True).as_matrix()

@@ -9,7 +9,10 @@ import numpy as np
 import trimesh
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.models.hulls import load_scene
+from roboxim_core.models.surfaces import is_linear
 from roboxim_core.models.urdf import mesh_path
+from roboxim_core.vision.srgb import to_srgb
 from roboxim_runs.robots.convex_parts import coarser, convex_parts
 from roboxim_runs.robots.decimation import Color, visual
 
@@ -151,25 +154,27 @@ def coloured(shape: Element, path: Path, materials: dict[str, Element]) -> list[
 
 def _loaded(file: Path, scale: list[float]) -> list[tuple[Color | None, trimesh.Trimesh]]:
     """Return colour and mesh of each part of a mesh file; no colour: the file has none."""
-    try:
-        scene = trimesh.load_scene(file)
-    except Exception as error:  # trimesh's readers raise whatever their parsers raise
-        raise ConfigError(f"cannot read the mesh {file}: {error}") from None
     parts: list[tuple[Color | None, trimesh.Trimesh]] = []
-    for mesh in scene.dump():
+    for mesh in load_scene(file, merge=True).dump():
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
             mesh.apply_scale(scale)
-            parts.append((_color(mesh), mesh))
+            parts.append((_color(mesh, linear=is_linear(file)), mesh))
     if not parts:
         raise ConfigError(f"{file} holds no triangles")
     return parts
 
 
-def _color(mesh: trimesh.Trimesh) -> Color | None:
+def _color(mesh: trimesh.Trimesh, *, linear: bool) -> Color | None:
+    """Return the sRGB colour of a mesh, 0..255; none: its file gives none.
+
+    Args:
+        mesh: The mesh.
+        linear: Whether its colours are linear light.
+    """
     main = getattr(getattr(mesh.visual, "material", None), "main_color", None)
     if main is None or len(main) < 3 or tuple(main[:3]) == (102, 102, 102):  # trimesh's default
         return None
-    return tuple(int(c) for c in main[:3])
+    return tuple(round(255 * float(c)) for c in (to_srgb(main[:3] / 255) if linear else main[:3] / 255))
 
 
 def _numbers(text: str) -> list[float]:

@@ -4,6 +4,7 @@ import shutil
 from functools import partial
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -13,11 +14,13 @@ import yaml
 from roboxim_core.errors import ConfigError
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.vision.srgb import to_linear
 from roboxim_runs.robots import derivation
 from roboxim_runs.robots.check import prove
 from roboxim_runs.robots.collision_pairs import srdf_text
 from roboxim_runs.robots.derivation import Arm, derive
 from roboxim_runs.robots.grippers import gripper
+from roboxim_runs.robots.link_meshes import coloured
 from roboxim_runs.robots.reading import expanded
 from roboxim_runs.robots.recipe import RobotRecipe
 
@@ -50,6 +53,17 @@ def small_arm(folder: Path, **changes: str) -> Path:
     path = folder / "arm.urdf"
     path.write_text(f'<robot name="arm">{"".join(links)}{"".join(joints)}</robot>')
     return path
+
+
+def test_the_colour_of_a_glb_file_is_srgb_in_the_robots_own(tmp_path):
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    looks = trimesh.visual.material.PBRMaterial(baseColorFactor=[*to_linear([0.8, 0.2, 0.1]), 1.0])
+    box.visual = trimesh.visual.TextureVisuals(material=looks)
+    box.export(tmp_path / "box.glb")
+    shape = ElementTree.fromstring('<visual><geometry><mesh filename="box.glb" scale="1 -1 1"/></geometry></visual>')
+    ((color, mesh),) = coloured(shape, tmp_path / "it.urdf", {})
+    assert color == pytest.approx((204, 51, 26), abs=2)
+    assert mesh.volume == pytest.approx(0.001)
 
 
 def recipe(urdf: Path, **changes: Any) -> RobotRecipe:

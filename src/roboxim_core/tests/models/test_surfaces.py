@@ -1,0 +1,114 @@
+"""Colours, surfaces, units and orientation of mesh files of other writers."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from trimesh.visual.material import PBRMaterial
+
+from roboxim_core.models.description import Visual
+from roboxim_core.models.hulls import hull_file, load_mesh
+from roboxim_core.models.modifiers import PALETTE
+from roboxim_core.models.surfaces import MOST_COLORS
+from roboxim_core.models.visuals import robot_parts, visual_parts
+from roboxim_core.vision.renderer import VisualPart
+from roboxim_core.vision.srgb import to_linear
+
+
+def box(**material: Any) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box((0.1, 0.2, 0.3))
+    if material:
+        uv = np.tile([0.25, 0.5], (len(mesh.vertices), 1))
+        mesh.visual = trimesh.visual.TextureVisuals(uv=uv, material=PBRMaterial(**material))
+    return mesh
+
+
+def parts_of(file: Path, **changes: Any) -> tuple[VisualPart, ...]:
+    return visual_parts(Visual(kind="mesh", mesh=str(file), **changes))
+
+
+@pytest.mark.parametrize("word", PALETTE)
+def test_a_colour_factor_of_gltf_is_linear(word, tmp_path):
+    box(baseColorFactor=[*to_linear(PALETTE[word]), 1.0]).export(tmp_path / "a.glb")
+    (part,) = parts_of(tmp_path / "a.glb")
+    assert part.material.color == pytest.approx(PALETTE[word], abs=0.015)  # trimesh keeps 8 bits
+
+
+def test_a_colour_of_collada_and_obj_is_srgb(tmp_path):
+    mesh = box(baseColorFactor=[200, 100, 50, 255])
+    for name in ("a.dae", "a.obj"):
+        mesh.export(tmp_path / name)
+        (part,) = parts_of(tmp_path / name)
+        assert part.material.color == pytest.approx((200 / 255, 100 / 255, 50 / 255), abs=0.003)
+
+
+def test_the_glb_files_of_a_robot_are_read_as_it_declares(tmp_path):
+    box(baseColorFactor=[128, 128, 128, 255]).export(tmp_path / "a.glb")
+    mesh = '<visual><geometry><mesh filename="a.glb" scale="2 2 2"/></geometry></visual>'
+    (tmp_path / "r.urdf").write_text(f'<robot name="r"><link name="a">{mesh}</link></robot>')
+    found = {how: robot_parts(tmp_path / "r.urdf", how)["a"][0] for how in ("srgb", "linear")}
+    assert found["srgb"].material.color == pytest.approx([128 / 255] * 3)
+    assert found["linear"].material.color == pytest.approx([0.736] * 3, abs=1e-3)
+    assert np.ptp(found["srgb"].mesh.vertices, axis=0) == pytest.approx([0.2, 0.4, 0.6])
+
+
+def test_textures_of_metalness_and_roughness_count(tmp_path):
+    pixels = np.zeros((2, 4, 3), np.uint8)
+    pixels[:, :, 1], pixels[:, 1, 2] = 204, 51  # the texture's column of the box's coordinates is metallic by 0.2
+    box(metallicRoughnessTexture=Image.fromarray(pixels), roughnessFactor=0.5).export(tmp_path / "a.glb")
+    (part,) = parts_of(tmp_path / "a.glb")
+    assert (part.material.metallic, part.material.roughness) == pytest.approx((0.2, 0.4))
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.glb"])
+def test_colours_at_vertices_become_parts(name, tmp_path):
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    given = np.where(mesh.vertices[:, 2:] > 0.3, [200, 40, 30], [20, 60, 180])
+    stored = np.rint(255 * to_linear(given / 255)) if name == "a.glb" else given
+    mesh.visual.vertex_colors = stored.astype(np.uint8)
+    mesh.export(tmp_path / name)
+    parts = parts_of(tmp_path / name)
+    assert sum(len(part.mesh.faces) for part in parts) == len(mesh.faces)
+    large = sorted(parts, key=lambda part: len(part.mesh.faces))[-2:]
+    expected = [(200 / 255, 40 / 255, 30 / 255), (20 / 255, 60 / 255, 180 / 255)]
+    for part, color, side in zip(large, expected, (1, -1), strict=True):
+        assert part.material.color == pytest.approx(color, abs=0.02)
+        assert (side * (part.mesh.vertices[:, 2] - 0.3) > -1e-6).all()
+
+
+def test_many_colours_become_few(tmp_path):
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    mesh.visual.vertex_colors = (127.5 * (mesh.vertices + 1)).astype(np.uint8)
+    mesh.export(tmp_path / "a.ply")
+    parts = parts_of(tmp_path / "a.ply")
+    assert 8 < len(parts) <= MOST_COLORS
+    for part in parts:
+        middle = part.mesh.vertices[part.mesh.faces].mean(axis=(0, 1)) / 2 + 0.5
+        assert part.material.color == pytest.approx(middle, abs=0.15)
+
+
+@pytest.mark.parametrize("scale", [(1.0, -1.0, 1.0), (-0.5, -1.0, -2.0), (-1.0, -1.0, 1.0)])
+def test_a_mirrored_mesh_is_not_inside_out(scale, tmp_path):
+    box().export(tmp_path / "a.stl")
+    (part,) = parts_of(tmp_path / "a.stl", scale=scale)
+    solid = trimesh.Trimesh(part.mesh.vertices, part.mesh.faces, process=False)
+    assert solid.volume == pytest.approx(0.006 * abs(np.prod(scale)), rel=1e-4)
+    assert (np.einsum("ij,ij->i", part.mesh.normals, part.mesh.vertices) > 0).all()
+
+
+def test_the_unit_of_a_collada_file_counts(tmp_path):
+    box().export(tmp_path / "m.dae")
+    text = (tmp_path / "m.dae").read_text()
+    inch = re.sub(r"(<up_axis>)", r'<unit name="inch" meter="0.0254"/>\1', text)
+    (tmp_path / "inch.dae").write_text(inch)
+    assert load_mesh(tmp_path / "m.dae").extents == pytest.approx([0.1, 0.2, 0.3])
+    assert load_mesh(tmp_path / "inch.dae").extents == pytest.approx([0.00254, 0.00508, 0.00762])
+    (part,) = parts_of(tmp_path / "inch.dae")
+    assert np.ptp(part.mesh.vertices, axis=0) == pytest.approx([0.00254, 0.00508, 0.00762])
+    assert trimesh.load_mesh(hull_file(str(tmp_path / "inch.dae"))).extents.max() == pytest.approx(0.00762)
