@@ -138,3 +138,14 @@ def test_a_mesh_without_a_surface_is_a_finding(tmp_path: Path, vertices: str, sa
     )
     findings, _ = check_object(tmp_path / "own.yaml")
     assert any(said in finding.message for finding in findings), findings
+
+
+def test_a_fixed_joint_needs_no_axis_and_a_link_names_the_material_of_another(package):
+    """Exporters write the axis 0 0 0 for fixed joints; ROS takes a material that any link defines by its name."""
+    shape = '<visual><geometry><box size="1 1 1"/></geometry><material name="mine">{}</material></visual>'
+    one, other = shape.format('<color rgba="0.1 0.2 0.3 1"/>'), shape.format("")
+    joint = '<joint name="f" type="fixed"><parent link="base"/><child link="b"/><axis xyz="0 0 0"/></joint>'
+    written(package, more=f'<link name="b">{one}</link>{joint}<link name="c">{other}</link>' + joint.replace(
+        'name="f"', 'name="g"').replace('"b"', '"c"'))  # fmt: skip
+    ((link,), _) = urdf_object(package / "urdf" / "box.urdf")
+    assert [visual.material.color for visual in link.visual[1:]] == [(0.1, 0.2, 0.3)] * 2

@@ -8,7 +8,6 @@ points among its shapes, and a held cube then slips farther. Other grippers stay
 from __future__ import annotations
 
 import copy
-import re
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from roboxim_core.models.description import GripperModel
-from roboxim_core.models.urdf import origin_pose
+from roboxim_core.models.urdf import joint_axis, origin_pose, urdf_root
 from roboxim_core.poses import Array, Pose
 
 Element = ElementTree.Element
@@ -40,18 +39,27 @@ class PhysicsUrdf:
 
 @lru_cache(maxsize=8)
 def physics_urdf(urdf: Path, gripper: GripperModel) -> PhysicsUrdf:
-    """Write a copy of a URDF for PyBullet, which rejects GLB visuals and does not resolve packages.
+    """Write a copy of a URDF for PyBullet.
+
+    PyBullet rejects GLB visuals, does not resolve packages, and moves a sliding joint by its position times the length
+    of its axis.
 
     Args:
         urdf: The robot's URDF.
         gripper: Its gripper.
+
+    Raises:
+        ConfigError: When the URDF cannot be read, or an axis is not one.
     """
-    text = re.sub(r"\s*<visual>.*?</visual>", "", urdf.read_text(), flags=re.S)
-    part_of: dict[str, str] = {}
-    if gripper.followers:
-        root = ElementTree.fromstring(text)
-        part_of = _joined(root, frozenset(gripper.links[3:]), str(urdf))
-        text = ElementTree.tostring(root, encoding="unicode")
+    root = urdf_root(urdf)
+    for link in root.findall("link"):
+        for shape in link.findall("visual"):
+            link.remove(shape)
+    for joint in root.findall("joint"):
+        if (axis := joint.find("axis")) is not None:
+            axis.set("xyz", " ".join(map(repr, joint_axis(joint, f"{urdf}: joint '{joint.get('name')}'"))))
+    part_of = _joined(root, frozenset(gripper.links[3:]), str(urdf)) if gripper.followers else {}
+    text = ElementTree.tostring(root, encoding="unicode")
     folder = tempfile.TemporaryDirectory(prefix="roboxim-urdf-")
     _KEPT.append(folder)
     file = Path(folder.name) / urdf.name

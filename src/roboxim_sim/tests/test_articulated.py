@@ -12,10 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import hold_action
 from roboxim_core.config import from_json, to_json
+from roboxim_core.errors import ConfigError
+from roboxim_core.models.articulation import object_link_poses
+from roboxim_core.models.description import JointModel, LinkModel, ObjectModel, Shape
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.specs import EntitySpec, Scalar, SceneSpec
 from roboxim_core.state import StateRecord
+from roboxim_sim.bodies import ObjectBody
+from roboxim_sim.bullet import BulletClient
 from roboxim_sim.snapshots import Snapshot
 from roboxim_sim.world import World
 
@@ -148,3 +153,25 @@ def test_an_approximate_restore_keeps_drawers_open(world: World) -> None:
     snapshot = from_json(to_json(world.snapshot()), Snapshot)
     restored = world.restore(snapshot, approximate=True)
     assert restored.entity("cabinet").joint_positions[2] == pytest.approx(0.1, abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["prismatic", "revolute"])
+def test_an_axis_of_any_length_moves_a_part_alike_in_physics_and_pictures(kind: str) -> None:
+    box = (Shape(kind="box", size=(0.1, 0.1, 0.1)),)
+    joint = JointModel(name="j", kind=kind, parent="a", child="b", axis=(1.0, 2.0, -3.0), lower=-1.0, upper=1.0)
+    links = (LinkModel(name="a", mass=1.0, collision=box), LinkModel(name="b", mass=1.0, collision=box))
+    model = ObjectModel(id="o", name="o", links=links, joints=(joint,), size=(0.1, 0.1, 0.1), rest_height=0.05)
+    client = BulletClient()
+    try:
+        body = ObjectBody(client, model, EntitySpec(name="o", model="o", pose=Pose(), joint_positions={"j": 0.3}))
+        place, quat = client.getLinkState(body.id, 0, computeForwardKinematics=True)[4:6]
+    finally:
+        client.disconnect()
+    drawn = object_link_poses(model, {"j": 0.3})["b"]
+    assert place == pytest.approx(drawn.position, abs=1e-6)
+    assert abs(np.dot(quat, drawn.quat_xyzw)) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_an_axis_without_direction_is_refused() -> None:
+    with pytest.raises(ConfigError, match="joint 'j': axis has no direction, got 0 0 0"):
+        JointModel(name="j", kind="prismatic", parent="a", child="b", axis=(0.0, 0.0, 0.0))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from xml.etree import ElementTree
+
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from roboxim_core.models.library import ModelLibrary
+from roboxim_sim.bullet import BulletClient
 from roboxim_sim.physics_urdf import physics_urdf
 
 LIBRARY = ModelLibrary()
@@ -51,3 +55,41 @@ def test_a_mechanism_has_fewer_links_and_the_same_mass_and_shapes(name: str) -> 
     np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-6)
     assert [row[0] for row in found[0][1]] == [row[0] for row in found[1][1]]
     np.testing.assert_allclose([row[1:] for row in found[0][1]], [row[1:] for row in found[1][1]], atol=2e-6)
+
+
+def test_a_finger_with_a_long_axis_slides_alike_in_both_engines(tmp_path: Path) -> None:
+    model = LIBRARY.robot("panda")
+    text = model.urdf.read_text()
+    axis = '<axis xyz="0 1 0"/>' if '<axis xyz="0 1 0"/>' in text else '<axis xyz="0 1 0" />'
+    assert axis in text
+    urdf = tmp_path / "panda.urdf"
+    urdf.write_text(text.replace(axis, '<axis xyz="0 7 0"/>').replace("<visual>", '<visual name="seen">'))
+    made = physics_urdf(urdf, model.gripper).file
+    assert "<visual" not in made.read_text()
+    robot = pin.buildModelFromUrdf(str(urdf))
+    data, q = robot.createData(), pin.neutral(robot)
+    (finger, _), tip = model.gripper.joint_names, model.gripper.links[1]
+    q[robot.joints[robot.getJointId(finger)].idx_q] = 0.03
+    pin.framesForwardKinematics(robot, data, q)
+    client = BulletClient()
+    try:
+        body = client.loadURDF(str(_without_meshes(made)), useFixedBase=True)
+        infos = [client.getJointInfo(body, k) for k in range(client.getNumJoints(body))]
+        (joint,) = (info[0] for info in infos if info[1].decode() == finger)
+        (link,) = (info[0] for info in infos if info[12].decode() == tip)
+        client.resetJointState(body, joint, 0.03)
+        place = client.getLinkState(body, link, computeForwardKinematics=True)[4]
+    finally:
+        client.disconnect()
+    assert place == pytest.approx(data.oMf[robot.getFrameId(tip)].translation, abs=1e-5)
+
+
+def _without_meshes(urdf: Path) -> Path:
+    """Return a copy of a URDF without shapes, whose files are elsewhere."""
+    root = ElementTree.parse(urdf).getroot()
+    for link in root.findall("link"):
+        for shape in link.findall("collision"):
+            link.remove(shape)
+    bare = urdf.with_name("bare.urdf")
+    ElementTree.ElementTree(root).write(bare)
+    return bare

@@ -43,7 +43,7 @@ def joint_motion(joint: JointModel, position: float) -> Pose:
     """Return the pose of a joint's child in the joint's frame at a position [m or rad]."""
     from scipy.spatial.transform import Rotation
 
-    axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
+    axis = np.asarray(joint.axis)
     if joint.kind == "prismatic":
         return Pose.from_arrays(axis * position)
     return Pose.from_arrays(np.zeros(3), Rotation.from_rotvec(axis * position))

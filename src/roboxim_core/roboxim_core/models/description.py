@@ -94,7 +94,7 @@ class JointModel:
     pose: Pose = IDENTITY
     """Pose of the joint in the parent."""
     axis: Vec3 = (0.0, 0.0, 1.0)
-    """Axis in the joint's frame."""
+    """Axis in the joint's frame, of any length."""
     lower: float = 0.0
     """Lower limit [m or rad]."""
     upper: float = 0.0
@@ -105,6 +105,30 @@ class JointModel:
     """Force or torque against its motion, proportional to its speed [N s/m or N m s/rad]."""
     spring: float = 0.0
     """Force or torque that returns it to position 0, e.g. a button; excludes ``resistance`` [N or N m]."""
+
+    def __post_init__(self) -> None:
+        """Give the axis the length 1: PyBullet moves a sliding joint by its position times the length.
+
+        Raises:
+            ConfigError: When the axis has no direction.
+        """
+        object.__setattr__(self, "axis", unit_axis(self.axis, f"joint '{self.name}': axis"))
+
+
+def unit_axis(axis: Vec3, where: str) -> Vec3:
+    """Return the unit vector of an axis.
+
+    Args:
+        axis: Vector of any length.
+        where: What it is, for the message.
+
+    Raises:
+        ConfigError: When it has no direction.
+    """
+    length = float(np.linalg.norm(axis))
+    if not 0.0 < length < np.inf:
+        raise ConfigError(f"{where} has no direction, got {axis[0]:g} {axis[1]:g} {axis[2]:g}")
+    return (axis[0] / length, axis[1] / length, axis[2] / length)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ import numpy as np
 
 from roboxim_core import limits
 from roboxim_core.errors import ConfigError
-from roboxim_core.models.description import JointModel, LinkModel, Shape, Visual
+from roboxim_core.models.description import JointModel, LinkModel, Shape, Visual, unit_axis
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.specs import MaterialSpec
 
@@ -33,7 +33,7 @@ def urdf_object(path: Path) -> tuple[tuple[LinkModel, ...], tuple[JointModel, ..
         ConfigError: When the file cannot be read or holds an element that objects do not support.
     """
     root = urdf_root(path)
-    materials = {m.get("name", ""): m for m in root.findall("material")}
+    materials = urdf_materials(root)
     links = {link.get("name", ""): _link(link, path, materials) for link in root.findall("link")}
     if len(links) != len(root.findall("link")):
         raise ConfigError(f"{path} has several links of one name; names of links must differ")
@@ -151,9 +151,7 @@ class _Joint:
         self.parent, self.child = (_attribute(element, tag, "link") for tag in ("parent", "child"))
         where = f"{path}: joint '{self.name}'"
         self.pose = origin_pose(element, where)
-        self.axis = _vector(_attribute(element, "axis", "xyz") or "1 0 0", f"{where}: <axis>")
-        if not any(self.axis):
-            raise ConfigError(f"{where}: <axis> has no direction, got 0 0 0")
+        self.axis = joint_axis(element, where)
         self.lower, self.upper = (
             _number(_attribute(element, "limit", end) or "0", f"{where}: <limit> {end}") for end in ("lower", "upper")
         )
@@ -212,6 +210,12 @@ def _shape(element: ElementTree.Element, path: Path) -> Shape:
     )
 
 
+def urdf_materials(root: ElementTree.Element) -> dict[str, ElementTree.Element]:
+    """Return the materials of a URDF by name: as in ROS, one that a link defines can be named by others."""
+    stated = [*root.findall("material"), *root.iterfind("link/visual/material")]
+    return {material.get("name", ""): material for material in reversed(stated) if material.find("color") is not None}
+
+
 def urdf_visual(element: ElementTree.Element, path: Path, materials: dict[str, ElementTree.Element]) -> Visual:
     """Return a ``<visual>`` of a URDF.
 
@@ -267,6 +271,17 @@ def origin_pose(element: ElementTree.Element, where: str) -> Pose:
     return Pose.from_arrays(
         _vector(origin.get("xyz", "0 0 0"), f"{where}: <origin> xyz"), Rotation.from_euler("xyz", rpy)
     )
+
+
+def joint_axis(element: ElementTree.Element, where: str) -> Vec3:
+    """Return the unit vector that the ``<axis>`` of a joint states; x without one, and for a fixed joint.
+
+    Raises:
+        ConfigError: When it is not three numbers, or has no direction.
+    """
+    if element.get("type") == "fixed":  # exporters write 0 0 0
+        return 1.0, 0.0, 0.0
+    return unit_axis(_vector(_attribute(element, "axis", "xyz") or "1 0 0", f"{where}: <axis>"), f"{where}: <axis>")
 
 
 def _sizes(element: ElementTree.Element, name: str, path: Path) -> tuple[float, ...]:

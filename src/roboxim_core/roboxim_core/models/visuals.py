@@ -24,7 +24,7 @@ from roboxim_core.models.hulls import load_scene
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.meshes import box_mesh, triangles, visual_generators
 from roboxim_core.models.surfaces import is_linear, visual_parts_of
-from roboxim_core.models.urdf import urdf_visual
+from roboxim_core.models.urdf import urdf_materials, urdf_visual
 from roboxim_core.poses import IDENTITY, Pose, Vec3
 from roboxim_core.specs import CameraSpec, MaterialSpec, SceneSpec, TableSpec
 from roboxim_core.state import RobotState, StateRecord
@@ -74,7 +74,7 @@ def robot_parts(urdf: Path, mesh_colors: str) -> dict[str, tuple[VisualPart, ...
     """
     parts: dict[str, tuple[VisualPart, ...]] = {}
     root = ElementTree.parse(urdf).getroot()
-    materials = {material.get("name", ""): material for material in root.findall("material")}
+    materials = urdf_materials(root)
     for link in root.iter("link"):
         found: list[VisualPart] = []
         for element in link.findall("visual"):

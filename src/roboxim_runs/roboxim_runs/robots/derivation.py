@@ -23,7 +23,7 @@ from roboxim_core.config import named_config
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.description import RobotModel
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.models.urdf import origin_pose, urdf_root
+from roboxim_core.models.urdf import origin_pose, urdf_materials, urdf_root
 from roboxim_core.poses import Pose
 from roboxim_runs.robots.collision_pairs import srdf_text
 from roboxim_runs.robots.gripper_derivation import plain
@@ -128,7 +128,7 @@ class Arm:
         """
         self.path, self.recipe = path, recipe
         self._links = {str(link.get("name")): link for link in root.findall("link")}
-        self._materials = {str(item.get("name")): item for item in root.findall("material")}
+        self._materials = urdf_materials(root)
         above = {_child(joint): joint for joint in root.findall("joint")}
         roots = [name for name in self._links if name not in above]
         if len(roots) != 1:

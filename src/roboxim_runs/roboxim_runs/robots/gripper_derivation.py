@@ -22,6 +22,7 @@ from scipy.optimize import brentq
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.description import FollowerJoint, GripperModel, RobotModel
+from roboxim_core.models.urdf import urdf_materials
 from roboxim_core.poses import Array
 from roboxim_planner.collisions.geometry import convex_hull
 from roboxim_planner.robot import PlannerRobot
@@ -111,7 +112,7 @@ def derive_gripper(
     for kind in ("visual", "collision"):
         (inside / kind).mkdir(parents=True)
     try:
-        materials = {str(item.get("name")): item for item in root.findall("material")}
+        materials = urdf_materials(root)
         meshes = LinkMeshes(
             recipe.name,
             inside,

@@ -83,8 +83,7 @@ class Part:
         """Unit vector along which the middle of the handle moves when the joint's position grows, shape (3,)."""
         if self.joint.kind == "revolute":
             return np.asarray((self.link.rotation * self.handle.pose.rotation).apply((1.0, 0.0, 0.0)))
-        axis = self.frame.rotation.apply(self.joint.axis)
-        return np.asarray(axis / np.linalg.norm(axis))
+        return np.asarray(self.frame.rotation.apply(self.joint.axis))
 
     @property
     def lever_m(self) -> float:
@@ -93,7 +92,7 @@ class Part:
             return 1.0
         arm = (self.link @ self.handle.pose).position - np.array(self.frame.position)
         axis = self.frame.rotation.apply(self.joint.axis)
-        return float(np.linalg.norm(np.cross(axis / np.linalg.norm(axis), arm)))
+        return float(np.linalg.norm(np.cross(axis, arm)))
 
     @property
     def link(self) -> Pose:
