@@ -153,14 +153,14 @@ class _Joint:
         self.pose = origin_pose(element, where)
         self.axis = joint_axis(element, where)
         self.lower, self.upper = (
-            _number(_attribute(element, "limit", end) or "0", f"{where}: <limit> {end}") for end in ("lower", "upper")
+            number(_attribute(element, "limit", end) or "0", f"{where}: <limit> {end}") for end in ("lower", "upper")
         )
         if self.kind == "continuous":
             self.lower, self.upper = -2 * np.pi, 2 * np.pi
         elif self.kind != "fixed" and self.lower >= self.upper:
             raise ConfigError(f"{path}: joint '{self.name}' needs a <limit> with lower < upper")
         self.damping, self.friction = (
-            _number(_attribute(element, "dynamics", what) or "0", f"{where}: <dynamics> {what}")
+            number(_attribute(element, "dynamics", what) or "0", f"{where}: <dynamics> {what}")
             for what in ("damping", "friction")
         )
 
@@ -190,7 +190,7 @@ def _merged(parent: LinkModel, child: LinkModel, pose: Pose) -> LinkModel:
 
 def _link(element: ElementTree.Element, path: Path, materials: dict[str, ElementTree.Element]) -> LinkModel:
     name = element.get("name", "")
-    mass = _number(_attribute(element, "inertial/mass", "value") or "0", f"{path}: link '{name}': <mass>")
+    mass = number(_attribute(element, "inertial/mass", "value") or "0", f"{path}: link '{name}': <mass>")
     if mass < 0:
         raise ConfigError(f"{path}: link '{name}': <mass> must not be below 0, got {mass:g}")
     return LinkModel(
@@ -288,21 +288,21 @@ def _sizes(element: ElementTree.Element, name: str, path: Path) -> tuple[float, 
     """Return the numbers of an attribute of a shape, all > 0."""
     where = f"{path}: <{element.tag}> {name}"
     text = element.attrib[name]
-    values = _vector(text, where) if element.tag == "box" else (_number(text, where),)
+    values = _vector(text, where) if element.tag == "box" else (number(text, where),)
     if min(values) <= 0:
         raise ConfigError(f"{where} must be greater than 0, got {limits.echo(text)}")
     return values
 
 
 def _vector(text: str, where: str) -> Vec3:
-    values = [_number(word, where) for word in text.split()]
+    values = [number(word, where) for word in text.split()]
     if len(values) != 3:
         raise ConfigError(f"{where} must be three numbers, got {limits.echo(text)}")
     x, y, z = values
     return x, y, z
 
 
-def _number(text: str, where: str) -> float:
+def number(text: str, where: str) -> float:
     """Return a finite number.
 
     Raises:

@@ -23,7 +23,7 @@ from roboxim_core.config import named_config
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.description import RobotModel
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.models.urdf import origin_pose, urdf_materials, urdf_root
+from roboxim_core.models.urdf import joint_axis, number, origin_pose, urdf_materials, urdf_root
 from roboxim_core.poses import Pose
 from roboxim_runs.robots.collision_pairs import srdf_text
 from roboxim_runs.robots.gripper_derivation import plain
@@ -150,6 +150,10 @@ class Arm:
                 raise ConfigError(
                     f"{path}: joint '{joint.get('name')}' is {joint.get('type')}; an arm has revolute joints"
                 )
+            if joint.find("mimic") is not None:
+                raise ConfigError(
+                    f"{path}: joint '{joint.get('name')}' follows another one (<mimic>); an arm's joints move alone"
+                )
         if len(moving) < 5:
             raise ConfigError(
                 f"{path}: {len(moving)} joints move between '{self.base}' and '{self.flange}'; an arm needs at least 5 "
@@ -260,10 +264,12 @@ class Arm:
         made = ElementTree.Element("joint", {"name": name, "type": "revolute" if moving else "fixed"})
         ElementTree.SubElement(made, "parent", {"link": self.own(_parent(joint))})
         ElementTree.SubElement(made, "child", {"link": self.own(_child(joint))})
-        for tag in ("origin", "axis"):
-            if (part := joint.find(tag)) is not None:
-                made.append(part)
+        if (origin := joint.find("origin")) is not None:
+            origin_pose(joint, f"{self.path}: joint '{joint.get('name')}'")  # checks it
+            made.append(origin)
         if moving:
+            axis = joint_axis(joint, f"{self.path}: joint '{joint.get('name')}'")
+            ElementTree.SubElement(made, "axis", {"xyz": _text(axis)})
             lower, upper, velocity, effort = self._limits(joint)
             limit = {"lower": lower, "upper": upper, "velocity": velocity, "effort": effort}
             ElementTree.SubElement(made, "limit", {name: f"{value:.10g}" for name, value in limit.items()})
@@ -271,23 +277,31 @@ class Arm:
         return made
 
     def _limits(self, joint: Element) -> tuple[float, float, float, float]:
-        """Return lower and upper limit [rad], speed [rad/s] and torque [N m] of a joint."""
-        limit = joint.find("limit")
-        given = (
-            {}
-            if limit is None
-            else {name: float(value) for name, value in limit.attrib.items() if ":" not in name and "}" not in name}
-        )
-        half = self.recipe.range_rad / 2
-        lower, upper = given.get("lower", -half), given.get("upper", half)
-        if joint.get("type") == "continuous" or upper - lower > self.recipe.range_rad:
-            lower, upper = -half, half
+        """Return lower and upper limit [rad], speed [rad/s] and torque [N m] of a joint.
+
+        Of a range wider than the recipe's, as much as that is kept, as near to the middle of 0 as the range allows.
+        """
+        limit, where = joint.find("limit"), f"{self.path}: joint '{joint.get('name')}'"
+        given: dict[str, float] = {
+            name: number(limit.attrib[name], f"{where}: <limit> {name}")
+            for name in ("lower", "upper", "velocity", "effort")
+            if limit is not None and name in limit.attrib
+        }
+        whole = self.recipe.range_rad
+        lower, upper = given.get("lower", 0.0), given.get("upper", 0.0)
+        if joint.get("type") == "continuous":
+            lower, upper = -whole / 2, whole / 2
+        elif lower >= upper:
+            raise ConfigError(f"{where} has no range, got {lower:g} to {upper:g} rad; give its <limit> lower < upper")
+        elif upper - lower > whole:
+            lower = min(max(-whole / 2, lower), upper - whole)
+            upper = lower + whole
         place = list(self.joints).index(str(joint.get("name")))
         for what, stated in (("velocity", self.recipe.velocity), ("effort", self.recipe.effort)):
             if stated:
                 given[what] = spread(stated, len(self.joints), what)[place]
             if given.get(what, 0.0) <= 0.0:
-                raise ConfigError(f"{self.path}: joint '{joint.get('name')}' has no {what} limit; give --{what}")
+                raise ConfigError(f"{where} has no {what} limit; give --{what}")
         return lower, upper, given["velocity"], given["effort"]
 
     def values(self, tool: Gripper) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """A robot from a small URDF: the parts are there, the engines agree, and wrong input is explained."""
 
+import math
 import shutil
 from functools import partial
 from pathlib import Path
@@ -29,6 +30,9 @@ JOINTS = (("0 0 0.15", "0 0 1"), ("0 0 0.15", "0 1 0"), ("0 0 0.35", "0 1 0"),
 """Origin and axis of each joint of an arm like a UR's, without its offsets."""
 
 
+LIMIT = '<limit lower="-3" upper="3" velocity="2" effort="60"/>'
+
+
 def small_arm(folder: Path, **changes: str) -> Path:
     """Write a six-joint arm of boxes and one mesh, and return its URDF."""
     trimesh.creation.cylinder(0.05, 0.1).export(folder / "base.stl")
@@ -37,7 +41,7 @@ def small_arm(folder: Path, **changes: str) -> Path:
     inertial = '<inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
     inertial += "</inertial>"
     kind = changes.get("type", "revolute")
-    limit = changes.get("limit", '<limit lower="-3" upper="3" velocity="2" effort="60"/>')
+    limit = changes.get("limit", LIMIT)
     links = [f'<link name="world"/><link name="base"><visual>{mesh}</visual><collision>{mesh}</collision></link>']
     joints = ['<joint name="fix" type="fixed"><parent link="world"/><child link="base"/></joint>']
     for k, (xyz, axis) in enumerate(JOINTS, start=1):
@@ -114,6 +118,13 @@ def test_the_proofs_of_geometry_hold(made: Path, monkeypatch: pytest.MonkeyPatch
         ({"type": "prismatic"}, {}, "an arm has revolute joints"),
         ({"limit": '<limit lower="-3" upper="3" effort="60"/>'}, {}, "no velocity limit; give --velocity"),
         ({"limit": '<limit lower="-3" upper="3" velocity="2"/>'}, {}, "no effort limit; give --effort"),
+        ({"limit": '<limit velocity="2" effort="60"/>'}, {}, "joint 'j1' has no range, got 0 to 0 rad"),
+        (
+            {"limit": '<limit lower="-3" upper="3,1" velocity="2" effort="60"/>'},
+            {},
+            "upper must be a number, with a po",
+        ),
+        ({"limit": f'{LIMIT}<mimic joint="j2"/>'}, {}, r"joint 'j1' follows another one \(<mimic>\)"),
         ({}, {"without": ("l9", "l2")}, "without l9, l2: expected links beside the chain"),
     ],
 )
@@ -124,6 +135,27 @@ def test_what_is_missing_or_wrong_is_named(
     with pytest.raises(ConfigError, match=said):
         derive(recipe(urdf, **given), tmp_path / "robots", report=lambda line: None)
     assert not list((tmp_path / "robots").glob("*.yaml")), "nothing is half-written"
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "kept"),
+    [
+        (-3.0, 3.0, (-3.0, 3.0)),
+        (-6.5, 6.5, (-math.pi, math.pi)),
+        (-0.5, 6.5, (-0.5, -0.5 + 2 * math.pi)),
+        (-6.5, 0.2, (0.2 - 2 * math.pi, 0.2)),
+        (0.0, 1.5, (0.0, 1.5)),
+    ],
+)
+def test_a_range_is_never_wider_than_the_urdfs(
+    lower: float, upper: float, kept: tuple[float, float], tmp_path: Path
+) -> None:
+    least = f'lower="{lower}"' if lower else ""  # which a URDF may leave out
+    stated = f'<limit {least} upper="{upper}" velocity="2" effort="60"/>'
+    urdf = small_arm(tmp_path, limit=stated)
+    limits = Arm(expanded(urdf), urdf, recipe(urdf)).values(gripper("franka_hand"))["limits"]
+    assert limits["lower"] == pytest.approx([kept[0]] * 6)
+    assert limits["upper"] == pytest.approx([kept[1]] * 6)
 
 
 def test_torques_can_be_given(tmp_path: Path) -> None:
