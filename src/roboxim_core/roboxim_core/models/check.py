@@ -16,7 +16,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.bounds import links_bounds, shape_bounds
 from roboxim_core.models.description import GraspAnnotation, ObjectModel, Shape, Visual
-from roboxim_core.models.hulls import load_mesh, obj_references
+from roboxim_core.models.hulls import load_mesh, mesh_references
 from roboxim_core.models.object_config import ObjectConfig
 from roboxim_core.models.urdf import urdf_root
 from roboxim_core.models.visuals import visual_parts
@@ -154,10 +154,11 @@ def _mesh_files(config: ObjectConfig, folder: Path) -> list[tuple[Path, float]]:
 
 
 def _missing_images(path: Path) -> list[Finding]:
-    """Return the missing material files and textures of an OBJ; the readers of other formats report them themselves."""
+    """Return the missing files that an OBJ or glTF names; the readers of other formats report them themselves."""
+    kinds = {".mtl": "material file", ".bin": "buffer"}
     return [
-        _error(f"{path.name} needs the {'material file' if file.suffix == '.mtl' else 'texture'} {name}: no such file")
-        for name, file in obj_references(path).items()
+        _error(f"{path.name} needs the {kinds.get(file.suffix, 'texture')} {name}: no such file")
+        for name, file in mesh_references(path).items()
         if not file.is_file()
     ]
 

@@ -7,12 +7,14 @@ simulator and the planner therefore read the same shape.
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
 import tempfile
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     import trimesh
 
 
+Stamp = tuple[tuple[int, int], ...]
+"""Times [ns] and sizes [bytes] of files: the key by which what was read of them is kept."""
 LARGEST = 1e6
 """Largest coordinate of a mesh, in the file's units."""
 UNIT_FORMATS = (".dae", ".zae", ".3mf", ".3dxml", ".xaml")
@@ -87,15 +91,20 @@ def load_mesh(path: Path | str) -> trimesh.Trimesh:
     return mesh
 
 
-@lru_cache(maxsize=128)
 def hull_file(path: str) -> str:
     """Return the OBJ file of a mesh's convex hull; write it if it does not exist.
 
     Raises:
         ConfigError: When the mesh cannot be read or spans no volume, or the cache cannot be written.
     """
+    return _hull_file(path, mesh_stamp(path))
+
+
+@lru_cache(maxsize=128)
+def _hull_file(path: str, _stamp: Stamp) -> str:
+    buffers = mesh_references(Path(path)).values() if path.lower().endswith(".gltf") else ()
     try:
-        content = Path(path).read_bytes()
+        content = b"".join(file.read_bytes() for file in (Path(path), *buffers) if file.is_file() or file == Path(path))
     except OSError as error:
         raise ConfigError(f"cannot read the mesh {path}: {error.strerror}") from None
     how = b"metres" if Path(path).suffix.lower() in UNIT_FORMATS else b""
@@ -135,8 +144,39 @@ def hull_of(path: Path | str) -> trimesh.Trimesh:
     return hull
 
 
-def obj_references(path: Path) -> dict[str, Path]:
-    """Return the material files of an OBJ file and the colour images that they name; empty for other formats."""
+def mesh_stamp(path: Path | str) -> Stamp:
+    """Return time and size of a mesh file and of the files that it names; a missing file has zeros."""
+    return tuple(file_stamp(file) for file in (Path(path), *mesh_references(Path(path)).values()))
+
+
+def mesh_references(path: Path) -> dict[str, Path]:
+    """Return the files that a mesh file names, by name, whether they exist or not.
+
+    These are the material files of an OBJ file and their colour images, and the buffers and images of a glTF file;
+    empty for other formats.
+    """
+    return _references(path, file_stamp(path))
+
+
+def file_stamp(file: Path) -> tuple[int, int]:
+    """Return time [ns] and size [bytes] of a file; zeros if it is missing."""
+    try:
+        at = file.stat()
+    except OSError:
+        return 0, 0
+    return at.st_mtime_ns, at.st_size
+
+
+@lru_cache(maxsize=256)
+def _references(path: Path, _at: tuple[int, int]) -> dict[str, Path]:
+    if path.suffix.lower() == ".gltf" and path.is_file():
+        try:
+            content = json.loads(path.read_bytes())
+            entries = [entry for kind in ("buffers", "images") for entry in content.get(kind, ())]
+            names = [unquote(entry["uri"]) for entry in entries if not entry.get("uri", "data:").startswith("data:")]
+        except (ValueError, AttributeError, TypeError):  # its reader says what is wrong
+            return {}
+        return {name: path.parent / name for name in names}
     if path.suffix.lower() != ".obj" or not path.is_file():
         return {}
     found = {}

@@ -20,6 +20,7 @@ from roboxim_core.config import load_config
 from roboxim_core.config_folders import config_dirs, config_sets
 from roboxim_core.errors import ConfigError, ErrorCode, nearest, one_of
 from roboxim_core.models.description import ObjectModel, RobotModel
+from roboxim_core.models.hulls import Stamp, file_stamp
 from roboxim_core.models.modifiers import ModifierModel, modified
 from roboxim_core.models.object_config import ObjectConfig
 from roboxim_core.specs import EntitySpec, Scalar, SceneSpec
@@ -29,7 +30,10 @@ MAX_MODIFIED = 512
 
 
 class ModelLibrary:
-    """The robots and objects of a config directory. Returned models are frozen and cached."""
+    """The robots and objects of a config directory.
+
+    Returned models are frozen and cached. An object is read again when one of its files has changed.
+    """
 
     def __init__(self, config_dir: Path | str | None = None) -> None:
         """Make a library.
@@ -39,10 +43,10 @@ class ModelLibrary:
                 (`roboxim_core.config.config_dirs`). A file hides later files of the same name.
         """
         self.search_path = (Path(config_dir),) if config_dir is not None else config_dirs()
-        self._objects: dict[str, ObjectConfig] = {}
+        self._objects: dict[str, tuple[ObjectConfig, Stamp]] = {}
         self._sets: dict[str, dict[str, Path]] | None = None
         self._robots: dict[str, RobotModel] = {}
-        self._modified: dict[tuple[str, tuple[tuple[str, Scalar], ...]], ObjectModel] = {}
+        self._modified: dict[tuple[str, Stamp, tuple[tuple[str, Scalar], ...]], ObjectModel] = {}
 
     @property
     def robot_ids(self) -> tuple[str, ...]:
@@ -110,8 +114,8 @@ class ModelLibrary:
         Raises:
             ConfigError: When the id, a modifier or its value is unknown; the message lists the known ones.
         """
-        config = self._object_config(object_id)
-        key = (object_id, tuple(sorted((modifiers or {}).items())))
+        config, stamp = self._object_config(object_id)
+        key = (object_id, stamp, tuple(sorted((modifiers or {}).items())))
         if key not in self._modified:
             if len(self._modified) >= MAX_MODIFIED:
                 self._modified.pop(next(iter(self._modified)), None)
@@ -143,7 +147,7 @@ class ModelLibrary:
         Raises:
             ConfigError: When the id is unknown; the message lists the known ids.
         """
-        return dict(self._object_config(object_id).modifiers)
+        return dict(self._object_config(object_id)[0].modifiers)
 
     def digest(self, model_id: str) -> str:
         """Return a hash of everything that defines a robot or object: its YAML and the files it names.
@@ -158,7 +162,7 @@ class ModelLibrary:
         path = self.path(kind, model_id)
         files = [path, *sorted(p for p in path.with_suffix("").rglob("*") if p.suffix in _ASSETS)]
         if kind == "objects":
-            files += sorted(set(_named_files(path, path.stat().st_mtime_ns)) - set(files))
+            files += sorted(set(_named_files(path)) - set(files))
         return _digest(path.parent, tuple((file, (at := file.stat()).st_size, at.st_mtime_ns) for file in files))
 
     def hashes(self, scene: SceneSpec) -> dict[str, str]:
@@ -216,19 +220,22 @@ class ModelLibrary:
             self._sets = config_sets("objects", self.search_path)
         return self._sets
 
-    def _object_config(self, object_id: str) -> ObjectConfig:
-        if object_id not in self._objects:
-            path = self.path("objects", object_id)
-            try:
-                self._objects[object_id] = _parsed(path, path.stat().st_mtime_ns).resolved(path.parent)
-            except ConfigError as error:
-                named = str(error) if str(path) in str(error) else f"{path}: {error}"
-                raise ConfigError(named) from None
-        return self._objects[object_id]
+    def _object_config(self, object_id: str) -> tuple[ObjectConfig, Stamp]:
+        """Return an object's file and the stamp of all files that it names: it is read again when one has changed."""
+        path = self.path("objects", object_id)
+        try:
+            stamp = tuple(file_stamp(file) for file in (path, *_named_files(path)))
+            kept = self._objects.get(object_id)
+            if kept is None or kept[1] != stamp:
+                kept = self._objects[object_id] = _parsed(path, stamp[0]).resolved(path.parent), stamp
+        except ConfigError as error:
+            named = str(error) if str(path) in str(error) else f"{path}: {error}"
+            raise ConfigError(named) from None
+        return kept
 
 
 @lru_cache(maxsize=256)
-def _parsed(path: Path, _mtime_ns: int) -> ObjectConfig:
+def _parsed(path: Path, _stamp: tuple[int, int]) -> ObjectConfig:
     """Parse a file once for all libraries and again when it changes: reading YAML dominates the loading time."""
     return load_config(path, ObjectConfig)
 
@@ -236,10 +243,16 @@ def _parsed(path: Path, _mtime_ns: int) -> ObjectConfig:
 _ASSETS = {".urdf", ".srdf", ".stl", ".obj", ".mtl", ".glb", ".gltf", ".bin", ".png", ".jpg"}
 
 
+def _named_files(path: Path) -> tuple[Path, ...]:
+    """Return the files that an object's YAML file names, directly or indirectly."""
+    stamp = file_stamp(path)
+    urdf = _parsed(path, stamp).urdf
+    return _files(path, stamp, file_stamp(path.parent / urdf) if urdf else stamp)
+
+
 @lru_cache(maxsize=256)
-def _named_files(path: Path, _: int) -> tuple[Path, ...]:
-    """Return the files that an object's YAML file names, directly or indirectly; the time is only a cache key."""
-    return load_config(path, ObjectConfig).files(path.parent)
+def _files(path: Path, stamp: tuple[int, int], _urdf: tuple[int, int]) -> tuple[Path, ...]:
+    return _parsed(path, stamp).files(path.parent)
 
 
 @lru_cache(maxsize=256)

@@ -24,7 +24,7 @@ from roboxim_core.models.description import (
     Shape,
     Visual,
 )
-from roboxim_core.models.hulls import hull_file, obj_references
+from roboxim_core.models.hulls import hull_file, mesh_references
 from roboxim_core.models.modifiers import ModifierModel
 from roboxim_core.models.urdf import LARGEST, urdf_object
 from roboxim_core.poses import Array, Pose, Vec3
@@ -193,7 +193,7 @@ class ObjectConfig(ObjectNotes):
             names += [v.material.texture for v in link.visual if Path(v.material.texture).suffix in _IMAGES]
         found = [(folder / name).resolve() for name in dict.fromkeys(names) if name]
         for file in found:
-            found += [other for other in obj_references(file).values() if other not in found]
+            found += [other for other in mesh_references(file).values() if other not in found]
         return tuple(file for file in found if file.is_file())
 
     def model(self, object_id: str, folder: Path) -> ObjectModel:

@@ -20,7 +20,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.description import Visual
-from roboxim_core.models.hulls import load_scene
+from roboxim_core.models.hulls import Stamp, load_scene, mesh_stamp
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.meshes import box_mesh, triangles, visual_generators
 from roboxim_core.models.surfaces import is_linear, visual_parts_of
@@ -34,7 +34,6 @@ FLOOR_Z = -0.75
 """Height of the floor in the world [m]; the table's top is at 0."""
 
 
-@lru_cache(maxsize=512)
 def visual_parts(visual: Visual) -> tuple[VisualPart, ...]:
     """Return what to draw for one visual, in its link's frame.
 
@@ -44,6 +43,11 @@ def visual_parts(visual: Visual) -> tuple[VisualPart, ...]:
     Raises:
         ConfigError: On an unknown kind, or a mesh that cannot be read.
     """
+    return _visual_parts(visual, mesh_stamp(visual.mesh) if visual.mesh else ())
+
+
+@lru_cache(maxsize=512)
+def _visual_parts(visual: Visual, _stamp: Stamp) -> tuple[VisualPart, ...]:
     if visual.kind in ("mesh", "hull"):
         return _mesh_parts(visual, linear=is_linear(visual.mesh))
     try:
@@ -55,7 +59,7 @@ def visual_parts(visual: Visual) -> tuple[VisualPart, ...]:
 
 
 def _mesh_parts(visual: Visual, *, linear: bool) -> tuple[VisualPart, ...]:
-    parts = _load_mesh(visual.mesh, linear)
+    parts = _load_mesh(visual.mesh, linear, mesh_stamp(visual.mesh))
     if visual.tinted or visual.material != MaterialSpec():
         parts = tuple(VisualPart(mesh=part.mesh, material=visual.material) for part in parts)
     return tuple(_placed(_stretched(part, visual.scale), visual.pose) for part in parts)
@@ -284,7 +288,7 @@ def _plane(center: npt.ArrayLike, half_u: npt.ArrayLike, half_v: npt.ArrayLike) 
 
 
 @lru_cache(maxsize=128)
-def _load_mesh(path: str, linear: bool) -> tuple[VisualPart, ...]:
+def _load_mesh(path: str, linear: bool, _stamp: Stamp) -> tuple[VisualPart, ...]:
     import trimesh
 
     scene = load_scene(path)
