@@ -125,7 +125,7 @@ def _picks(episode: Episode, frames: int) -> set[int]:
 
 
 def _vector(name: str, curves: Mapping[str, Floats], parts: Sequence[str]) -> dict[str, Any]:
-    """Return what the page shows of a vector: a chart for each of its components.
+    """Return what the page shows of a vector: a chart for each of its components, without numbers that are not finite.
 
     Args:
         name: Name of the vector.
@@ -135,9 +135,15 @@ def _vector(name: str, curves: Mapping[str, Floats], parts: Sequence[str]) -> di
     charts = []
     for column, part in enumerate(parts):
         shown = [values[:, column] for values in curves.values()]
-        low, high = float(min(map(np.min, shown))), float(max(map(np.max, shown)))
-        lines = [_points(values, low, high) for values in shown]
-        charts.append({"name": part, "low": _shown(low, high - low), "high": _shown(high, high - low), "lines": lines})
+        numbers = np.concatenate(shown)
+        finite = numbers[np.isfinite(numbers)]
+        low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+        lost = len(numbers) - len(finite)
+        charts.append({
+            "name": f"{part} ({lost} not finite)" if lost else part,
+            "low": _shown(low, high - low), "high": _shown(high, high - low),
+            "lines": [_points(values, low, high) for values in shown],
+        })  # fmt: skip
     return {"name": name, "curves": list(curves), "charts": charts, "steps": len(next(iter(curves.values())))}
 
 
@@ -153,4 +159,5 @@ def _points(values: Floats, low: float, high: float) -> str:
     span = high - low
     up = (values - low) / span if span > STILL else np.full(len(values), 0.5)
     across = np.linspace(0, width, max(len(values), 2))
-    return " ".join(f"{x:.1f},{height * (1 - y):.1f}" for x, y in zip(across, up, strict=False))
+    drawn = zip(across, up, np.isfinite(values), strict=False)
+    return " ".join(f"{x:.1f},{height * (1 - y):.1f}" for x, y, finite in drawn if finite)

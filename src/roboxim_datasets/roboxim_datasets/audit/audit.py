@@ -5,10 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 
-from roboxim_core.errors import RecorderError
+from roboxim_core.errors import InvalidRequestError, RecorderError
 from roboxim_datasets.audit import checks  # noqa: F401  registers them
 from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
-from roboxim_datasets.audit.values import AuditEpisode, AuditResult, CannotCheckError, CheckResult, Finding
+from roboxim_datasets.audit.values import (
+    NOT_FINITE,
+    AuditEpisode,
+    AuditResult,
+    CannotCheckError,
+    CheckResult,
+    Finding,
+)
 
 
 class Auditor:
@@ -40,8 +47,10 @@ class Auditor:
         try:
             for name, check in self._checks.items():
                 try:
+                    if not (check.takes_any_number or episode.finite):
+                        raise CannotCheckError(NOT_FINITE)
                     found += [(name, finding) for finding in check.look(episode)]
-                except CannotCheckError as error:
+                except (CannotCheckError, InvalidRequestError) as error:
                     self._unchecked[name][str(error)] += 1
                 else:
                     self._checked[name] += 1

@@ -24,6 +24,8 @@ class AuditCheck:
     """What counts as a finding, with numbers."""
     needs: ClassVar[str] = "any dataset"
     """What the check needs, for the table of checks."""
+    takes_any_number: ClassVar[bool] = False
+    """Whether it looks at episodes with numbers that are not finite; of the others it is not made."""
     order: ClassVar[int] = 100
     """Place in reports; equal ones are sorted by name."""
 

@@ -29,6 +29,8 @@ NO_TRUTH = "the dataset holds no state of the scene; name the bags that it was e
 """Why a check that needs ground truth cannot run on a dataset alone."""
 NO_EXPECTED = "its expected values are unknown; name its bags (--bags) or another dataset of it (--against)"
 """Why a dataset alone is not compared value by value."""
+NOT_FINITE = "a number of the episode is not finite, see the check 'statistics'"
+"""Why a check that computes with numbers is not made of an episode."""
 
 
 class CannotCheckError(Exception):
@@ -221,6 +223,17 @@ class AuditEpisode:
             for field_name, components in fields.items():
                 found.setdefault(field_name, values[:, components])
         return found
+
+    @cached_property
+    def numbers(self) -> dict[str, Values]:
+        """All numbers that checks compute with: name to shape (T, size)."""
+        more = {"executed action": self.executed, "time": None if self.stamps_s is None else self.stamps_s[:, None]}
+        return {"action": self.actions, **{k: v for k, v in more.items() if v is not None}, **self.proprio}
+
+    @cached_property
+    def finite(self) -> bool:
+        """Whether all of them are finite."""
+        return all(np.isfinite(values).all() for values in self.numbers.values())
 
     @cached_property
     def tracks(self) -> dict[str, ImageTrack]:

@@ -72,6 +72,22 @@ def test_a_dataset_alone_cannot_be_checked_for_what_needs_ground_truth() -> None
     assert result.clean
 
 
+@pytest.mark.parametrize("key", ["actions", "tcp_position", "tcp_rotation_6d", "joint_positions", "stamps"])
+def test_a_number_that_is_not_finite_is_found_and_spoils_no_other_check(key: str) -> None:
+    stamps = np.arange(audited.STEPS) / 10.0
+    values = (stamps if key == "stamps" else audited.arrays(3)[key]).copy()
+    values[7] = np.nan if key in ("actions", "stamps") else np.inf
+    clean = [audited.episode(i, stamps=stamps) for i in range(3)]
+    result = audited.audit(*clean, audited.episode(3, **{"stamps": stamps, key: values}))
+    assert {finding.episodes for _, finding in result.findings() if finding.severity == "fault"} == {("e3",)}
+    assert result.check("statistics").faulty_episodes == ("e3",)
+    assert {check.checked for check in result.checks if check.name != "statistics"} == {0, 3}
+
+
+def test_a_rotation_that_is_none_cannot_be_checked() -> None:
+    assert "not a valid rotation_6d" in unchecked("labels", audited.episode(tcp_rotation_6d=np.zeros((60, 6), "f4")))
+
+
 # ------------------------------------------------------------------ the six faults of thesis 6.1.2
 
 

@@ -48,6 +48,7 @@ class Content(AuditCheck):
         f"{LOWEST_DB:g} dB"
     )
     needs = "the bags (--bags), which are exported again in memory, or another dataset (--against)"
+    takes_any_number = True
     order = 0
 
     def __init__(self) -> None:

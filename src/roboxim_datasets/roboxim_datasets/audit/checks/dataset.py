@@ -103,6 +103,7 @@ class Statistics(AuditCheck):
         f"number is farther from the median of the five around it than {SPIKE:g} times the component's central 95 %, "
         f"velocities aside; a warning for a standard deviation below {CONSTANT:g}"
     )
+    takes_any_number = True
     order = 23
 
     def __init__(self) -> None:
@@ -111,7 +112,7 @@ class Statistics(AuditCheck):
 
     def look(self, episode: AuditEpisode) -> Iterator[Finding]:
         """Find numbers that are not finite."""
-        for name, values in {"action": episode.actions, **episode.proprio}.items():
+        for name, values in episode.numbers.items():
             bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
             if len(bad):
                 yield Finding(
@@ -119,7 +120,7 @@ class Statistics(AuditCheck):
                     episodes=(episode.name,),
                     ticks=(int(bad[0]),),
                 )
-            else:
+            elif name == "action" or name in episode.proprio:
                 self._episodes.setdefault(f"{name} ({values.shape[1]})", []).append((episode.name, values))
 
     def conclude(self) -> Iterator[Finding]:
