@@ -112,6 +112,14 @@ def test_what_is_not_one_dataset_is_refused(written: Path, tmp_path: Path) -> No
         open_dataset(written)
 
 
+def test_datasets_of_two_formats_in_one_folder_are_both_found(tmp_path: Path, write) -> None:
+    write(tmp_path / "demos" / "rlds", [0])
+    write(tmp_path / "demos" / "hdf5", [0], format="hdf5")
+    for folder in (tmp_path, tmp_path / "demos"):
+        with pytest.raises(ConfigError, match=r"holds 2 datasets; name one of .*hdf5 \(hdf5\), .*1.0.0 \(rlds\)"):
+            open_dataset(folder)
+
+
 def test_every_registered_format_conforms() -> None:
     for name in FORMATS:
         FORMATS.check(name)
@@ -146,6 +154,31 @@ def test_a_dataset_of_another_tool_is_read(tmp_path: Path) -> None:
     assert dataset.features.vectors == {"state": ("state.0", "state.1", "state.2")}
     assert list(dataset.features.cameras) == ["image_0"]
     assert next(found.steps()).proprio["state"].tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("cameras", "front, wrist"), ("cameras", "[1]"), ("joint_names", "j1 j2"), ("joint_names", 7),
+        ("state_layout", "xyz"), ("vectors", "0.5"), ("action_semantics", "delta poses"), ("success", "maybe"),
+        ("fps", "ten"),
+    ],
+)  # fmt: skip
+def test_metadata_of_others_under_our_names_are_left_out_by_name(tmp_path: Path, key: str, value: str | int) -> None:
+    kind = "int64" if isinstance(value, int) else "text"
+    features = RldsFeatures(images={"image": (4, 4), "workspace": (4, 4)}, encoding="png", metadata={key: kind})
+    picture = encode_image(np.zeros((4, 4, 3), np.uint8), "png")
+    episode = RldsEpisode(
+        images={"image": [picture], "workspace": [picture]}, vectors={}, action=np.ones((1, 7), np.float32),
+        instruction="push", reward=np.zeros(1, np.float32), metadata={key: value},
+    )  # fmt: skip
+    with RldsWriter(tmp_path, features, name="theirs", version="1.0.0", description="") as writer:
+        writer.add("train", episode)
+    dataset = open_dataset(tmp_path)
+    found = dataset.episode(0)
+    assert (found.semantics, found.success, found.fps, found.joint_names) == (None, None, 0.0, ())
+    assert list(found.cameras) == ["image", "workspace"]  # both, though 'image' is usually called 'workspace'
+    assert [part.name for part in dataset.account.left_out if part.kind == "metadata"] == [f"episode_metadata/{key}"]
 
 
 def test_a_damaged_record_is_named(written: Path) -> None:

@@ -146,7 +146,7 @@ def from_rlds(episode: RldsEpisode, features: RldsFeatures) -> Episode:
         subtasks=tuple(dict.fromkeys(episode.subtasks)),
         success=_success(episode),
         robot=str(metadata.get("robot", "")),
-        joint_names=tuple(_parsed(metadata, "joint_names", [])),
+        joint_names=tuple(map(str, _parsed(metadata, "joint_names", []))),
         fps=_rate(metadata.get("fps", 0.0)) or (semantics.rate_hz if semantics else 0.0),
         vectors=names.vectors,
         signals={name: value for name, value in names.signals.items() if name != EXECUTED},
@@ -180,10 +180,15 @@ def semantics_of(episode: RldsEpisode) -> ActionSemantics | None:
     """Return the action semantics that an episode states; None: it states none.
 
     Raises:
-        ConfigError: When it states them in another format.
+        ConfigError: When a dataset of RoboXim states them in another format.
     """
-    semantics = episode.metadata.get("action_semantics")
-    return from_json(str(semantics), ActionSemantics, source="episode_metadata/action_semantics") if semantics else None
+    text = episode.metadata.get("action_semantics")
+    try:
+        return from_json(str(text), ActionSemantics, source="episode_metadata/action_semantics") if text else None
+    except ConfigError:
+        if is_own(episode.metadata):
+            raise
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,13 +210,14 @@ def component_names_of(episode: RldsEpisode, features: RldsFeatures) -> Componen
         ConfigError: When the metadata that state them are not readable.
     """
     metadata = episode.metadata
-    joints = tuple(_parsed(metadata, "joint_names", []))
+    joints = tuple(map(str, _parsed(metadata, "joint_names", [])))
     stated = {"state": _parsed(metadata, "state_layout", []), **_parsed(metadata, "vectors", {})}
     if "joint_positions" in features.vectors:
         stated.setdefault("joint_positions", component_names((ProprioField.JOINT_POSITIONS,), joints))
 
     def named(name: str, size: int, key: str) -> tuple[str, ...]:
-        names = tuple(map(str, stated.get(key, ())))
+        given = stated.get(key)
+        names = tuple(map(str, given)) if isinstance(given, list | tuple) else ()
         return names if len(names) == size else tuple(f"{name}.{index}" for index in range(size))
 
     semantics = semantics_of(episode)
@@ -220,7 +226,8 @@ def component_names_of(episode: RldsEpisode, features: RldsFeatures) -> Componen
         try:
             action = semantics.component_names(joints)
         except InvalidRequestError as error:
-            raise ConfigError(f"the meaning of the actions cannot be read: {error}") from None
+            if is_own(metadata):
+                raise ConfigError(f"the meaning of the actions cannot be read: {error}") from None
     if len(action) != features.action_size:
         action = named("action", features.action_size, "action")
     signals = {name: SIGNAL_PREFIX + name for name in features.signals}
@@ -237,16 +244,59 @@ def component_names_of(episode: RldsEpisode, features: RldsFeatures) -> Componen
 def camera_keys(episode: RldsEpisode) -> dict[str, str]:
     """Return camera to image key: as stored in the dataset, else by the default names.
 
+    Two images never become one camera: then each has the name of its key.
+
     Raises:
-        ConfigError: If the dataset's camera names are not readable.
+        ConfigError: If the camera names of RoboXim's own dataset are not readable.
     """
     cameras = _parsed(episode.metadata, "cameras", {})
     usual = {key: camera for camera, key in USUAL_KEYS.items()}
-    return {str(cameras.get(key, usual.get(key, key))): key for key in episode.images}
+    names = [str(cameras.get(key, usual.get(key, key))) for key in episode.images]
+    if len(set(names)) < len(names):
+        names = list(episode.images)
+    return dict(zip(names, episode.images, strict=True))
+
+
+def not_understood(metadata: Mapping[str, MetaValue]) -> set[str]:
+    """Return the keys that RoboXim uses too, with values in another form: those of another tool."""
+    found = set()
+    for key, default in _FORMS.items():
+        try:
+            _parsed_strictly(metadata, key, default)
+        except ConfigError:
+            found.add(key)
+    episode = RldsEpisode(images={}, vectors={}, action=_NO_ROWS, reward=_NO_ROWS, instruction="", metadata=metadata)
+    if metadata.get("action_semantics") and semantics_of(episode) is None:
+        found.add("action_semantics")
+    if {"success", "outcome"} & metadata.keys() and _success(episode) is None:
+        found |= {key for key in ("success", "outcome") if metadata.get(key, "unknown") not in ("", "unknown")}
+    if metadata.get("fps") and not _rate(metadata["fps"]):
+        found.add("fps")
+    return found
+
+
+def is_own(metadata: Mapping[str, object]) -> bool:
+    """Return whether keys of metadata are RoboXim's, which have all of these; another tool may use one of the names."""
+    return metadata.keys() >= {"action_semantics", *_FORMS} - {"vectors"}  # which earlier exports did not have
 
 
 def _parsed(metadata: Mapping[str, MetaValue], key: str, default: list[str] | dict[str, str]) -> Any:
+    """Return metadata that are JSON in a dataset of RoboXim; the default: they are another tool's, of another form."""
+    try:
+        return _parsed_strictly(metadata, key, default)
+    except ConfigError:
+        if is_own(metadata):
+            raise
+        return default
+
+
+def _parsed_strictly(metadata: Mapping[str, MetaValue], key: str, default: list[str] | dict[str, str]) -> Any:
     value = parse_json(str(metadata.get(key) or json.dumps(default)), source=f"episode_metadata/{key}")
     if type(value) is not type(default):
         raise ConfigError(f"episode_metadata/{key} is a {type(value).__name__}, expected a {type(default).__name__}")
     return value
+
+
+_FORMS: dict[str, list[str] | dict[str, str]] = {"cameras": {}, "state_layout": [], "joint_names": [], "vectors": {}}
+"""Metadata that are JSON in a dataset of RoboXim, to their form."""
+_NO_ROWS = np.zeros(0, np.float32)

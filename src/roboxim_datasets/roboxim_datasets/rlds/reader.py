@@ -20,7 +20,7 @@ from roboxim_datasets.dataset import Dataset, Description, Features
 from roboxim_datasets.episode import BETWEEN_ROBOTS, Episode, ImageSize, Step, Wanted
 from roboxim_datasets.files import file_in, reading
 from roboxim_datasets.pictures import head_of
-from roboxim_datasets.rlds.episodes import camera_keys, component_names_of, from_rlds
+from roboxim_datasets.rlds.episodes import camera_keys, component_names_of, from_rlds, is_own, not_understood
 from roboxim_datasets.rlds.format import (
     FEATURES_FILE,
     INFO_FILE,
@@ -42,11 +42,15 @@ from roboxim_datasets.rlds.tfrecord import (
     record_positions,
 )
 
+_LEVELS = 4
+
 
 def find_rlds(path: Path) -> list[Path]:
-    """Return the RLDS datasets that a path is, or that the folder holds up to two levels below."""
-    patterns = (INFO_FILE, f"*/{INFO_FILE}", f"*/*/{INFO_FILE}")
-    files = sorted(file for pattern in patterns for file in path.glob(pattern))
+    """Return the RLDS datasets that a path is, or that the folder holds.
+
+    They may lie four levels below: an export is a folder of another's that has the folders of name and version.
+    """
+    files = sorted(file for level in range(_LEVELS + 1) for file in path.glob("*/" * level + INFO_FILE))
     hidden = [file for file in files if any(part.startswith(".") for part in file.relative_to(path).parts)]
     return [file.parent for file in files if file not in hidden]
 
@@ -279,7 +283,7 @@ class RldsDataset(Dataset):
 
     def _take_stock(self, account: Account) -> None:
         features, leaves = self.reader.features, self.reader.leaves
-        own = "action_semantics" in features.metadata
+        own = is_own(features.metadata)
         read = set(paths_of(features))
         ids: Counter[str] = Counter()
         for split in self.reader.splits:
@@ -293,6 +297,7 @@ class RldsDataset(Dataset):
                     keys = example_keys(payload)
                     wrong = [key for key in _IMPLIED if key in keys and not _in_order(key, payload, len(episode))]
                     broken = any("\ufffd" in text for text in (episode.instruction, *episode.instructions))
+                    foreign = {f"episode_metadata/{key}" for key in not_understood(episode.metadata)}
                 ids[str(episode.metadata.get("episode_id", ""))] += 1
                 account.holds("episode", f"{split}[{index}]")
                 for key in keys:
@@ -302,6 +307,8 @@ class RldsDataset(Dataset):
                     if key in wrong:
                         last = key.removeprefix("steps/is_")
                         account.leaves_out(kind, key, f"it is not true at the {last} step alone", count)
+                    elif key in foreign:
+                        account.leaves_out(kind, key, "RoboXim uses this name, and the value is not of its form", count)
                     elif key in read:
                         how = "" if own or kind != "key" else _changed(leaves.get(key, {}))
                         if key == features.instruction and broken:
