@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core.errors import InvalidRequestError
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import EXECUTED, Episode, RGBImage, Step
 from roboxim_datasets.lerobot.layout import DEPTH_UNIT_M, MAX_DEPTH
@@ -110,8 +111,11 @@ def compare(
         progress: Called with the episodes done and their total.
 
     Raises:
+        InvalidRequestError: When the lowest PSNR is no number of at least 0.
         RecorderError: With code ``BAG_DAMAGED`` when a dataset cannot be read.
     """
+    if not lowest_psnr_db >= 0:
+        raise InvalidRequestError(f"the lowest PSNR must be a number of at least 0 dB, got {lowest_psnr_db:g}")
     found = Comparison()
     how = images if images != "auto" else "exact" if a.features.lossless and b.features.lossless else "psnr"
     names = _common_names(a, b, ignore, found, with_images=how != "skip")

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from roboxim_core.errors import InvalidRequestError
 from roboxim_datasets.compare import compare, comparison_text, same_bits
 
 
@@ -29,6 +30,13 @@ def test_equal_datasets_are_equal_whatever_their_encoding(tmp_path, write):
     found = compare(a, b, images="exact")
     assert "camera 'workspace' from step 0: images differ" in str(found.differences[0])
     assert found.count == 4, "each episode's camera is named once"
+
+
+@pytest.mark.parametrize("level", [float("nan"), -1.0])
+def test_a_level_that_is_no_number_of_decibels_is_refused(tmp_path, write, level):
+    a = write(tmp_path / "a", [0])
+    with pytest.raises(InvalidRequestError, match="at least 0 dB"):
+        compare(a, a, lowest_psnr_db=level)
 
 
 def last_bit(values):

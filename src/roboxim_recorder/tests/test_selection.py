@@ -78,7 +78,7 @@ def test_conditions_that_nothing_meets_are_refused_with_what_there_is(run):
         chosen(run, where=("target.colour=red",))
     with pytest.raises(InvalidRequestError, match=r"no episode has target.color=blu; .*blue.*did you mean 'blue'"):
         chosen(run, where=("target.color=blu",))
-    for text in ("target.color", "=red", "steps<few", "steps<"):
+    for text in ("target.color", "=red", "steps<few", "steps<nan", "steps<"):
         with pytest.raises(InvalidRequestError, match="condition"):
             Condition.parse(text)
     expected = r"none of the 8 bags can be exported \(not steps>100: 6, recovered: 1, not_lifted: 1\); change the cond"

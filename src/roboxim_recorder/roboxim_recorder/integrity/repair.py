@@ -88,6 +88,11 @@ class RepairReport:
         outcome = "outcome unknown" if self.reason == OUTCOME_UNKNOWN else self.outcome
         return f"{', '.join(parts)}; {outcome}" + (f"; {self.reasons[0]}" if self.reasons else "")
 
+    @property
+    def further(self) -> tuple[str, ...]:
+        """Faults that `text` does not name."""
+        return tuple(reason for reason in self.reasons if reason not in self.text)
+
 
 def survey_bag(path: Path | str) -> RepairReport:
     """Report what a repair of a bag would save, without writing anything.

@@ -92,6 +92,14 @@ def test_a_damaged_chunk_cuts_the_episode_there_and_the_rest_is_counted(bag):
     assert mcap_file(bag).read_bytes() == damaged, "the original is only read"
 
 
+def test_a_fault_is_named_once(bag):
+    start, end, _ = chunks_of(mcap_file(bag))[3]
+    flip(bag, (start + end) // 2)
+    report = survey_bag(bag)
+    assert [reason for reason in report.reasons if reason in report.text] == [report.reasons[0]]
+    assert report.further == report.reasons[1:]
+
+
 def test_a_lost_result_is_never_a_success(bag, fake, tmp_path):
     rewrite(bag, mcap_file(bag).read_bytes()[: chunks_of(mcap_file(bag))[-1][0]])
     report = repair_bag(bag, tmp_path / "out" / "episodes")

@@ -95,7 +95,7 @@ def repair(path: Path, out: Path | None, judge: bool) -> None:
     else:
         report = repair_bag(path, out)
     click.echo(f"{path}: {report.text}")
-    for reason in report.reasons:
+    for reason in report.further:
         click.echo(f"  {reason}")
     if report.target is not None:
         click.echo(f"saved {report.target}")
