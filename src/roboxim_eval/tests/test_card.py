@@ -11,7 +11,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_eval.benchmark.card import BenchmarkCard, check_benchmark_card, concluded_benchmark, points_text, rate_text
 from roboxim_eval.benchmark.config import Reference, ReferenceScore, benchmark_config
 from roboxim_eval.experiments.card import sha256_of
-from roboxim_eval.experiments.card_checks import check_card
+from roboxim_eval.experiments.card_checks import check_card, concluded
 from roboxim_eval.experiments.card_schema import CARDS, schema_file, schema_of, schema_text
 from roboxim_eval.experiments.models import compare_models
 from roboxim_eval.report.benchmark import benchmark_page
@@ -88,6 +88,28 @@ def test_a_card_is_checked_against_its_counts(card):
         check_card({**data, "datasets": {"leave_out.0": {"sha256": "0", "by_cell": {}, "fault": "", "faulty": 0}}})
     with pytest.raises(ConfigError, match="no card of schema 2 or 3, found 1"):
         check_card({**data, "schema": 1})
+
+
+def test_a_card_that_lacks_outcomes_is_refused_by_its_name(card):
+    data = card.plain
+    without = {**data, "evaluations": [one for one in data["evaluations"] if one["condition"] != "baseline"]}
+    with pytest.raises(ConfigError, match="^mine.json: no outcomes of condition 'baseline'"):
+        check_card(without, source="mine.json")
+    short = {**data, "evaluations": [
+        one for one in data["evaluations"] if (one["condition"], one["replicate"]) != ("blind", 2)]}  # fmt: skip
+    with pytest.raises(ConfigError, match="^mine.json: arms are compared replicate by replicate, got 3 and 2"):
+        check_card(short, source="mine.json")
+
+
+def test_a_cell_without_episodes_in_one_training_is_reported(card):
+    def emptied(one):
+        first = next(iter(one.by_cell))
+        return replace(one, by_cell={**one.by_cell, first: (0, 0, 0)}) if one.replicate == 1 else one
+
+    found = concluded(replace(card, evaluations=tuple(map(emptied, card.evaluations)), pairs={}))
+    cell = next(iter(card.evaluations[0].by_cell))
+    assert any(f"leave_out, replicate 1: no episode counts in {cell}, so" in one for one in found.warnings)
+    assert not any("no episode counts" in one for one in card.warnings)
 
 
 def leaves(value, path=()):

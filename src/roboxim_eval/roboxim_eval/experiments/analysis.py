@@ -103,7 +103,7 @@ def analyse(design: Design, outcomes: Outcomes) -> Analysis:
         for (compare, difference), p_value, equal in zip(found, adjusted, as_good, strict=True)
     )
     own = _scores(design, arms, outcomes)
-    warnings = (*(own.warnings if own else ()), *_errors(arms))
+    warnings = (*(own.warnings if own else ()), *_errors(arms), *_empty(arms))
     return Analysis(comparisons=comparisons, scores=own, warnings=warnings)
 
 
@@ -201,3 +201,13 @@ def _errors(arms: Mapping[str, Arm]) -> Iterable[str]:
                 f"{name}: {rate} of the episodes ended in errors, more than {100 * MAX_ERRORS:.0f} %; its results are "
                 "not to be relied on."
             )
+
+
+def _empty(arms: Mapping[str, Arm]) -> Iterable[str]:
+    for name, arm in arms.items():
+        for number, counts in enumerate(arm.replicates):
+            if empty := [cell for cell, count in counts.items() if not count.episodes]:
+                yield (
+                    f"{name}, replicate {number}: no episode counts in {', '.join(empty)}, so its rate is the mean of "
+                    "other cells than that of the others; do not rely on their differences."
+                )

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from roboxim_core.config import to_plain
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_eval.experiments.analysis import Analysis, Comparison, Outcomes, analyse
 from roboxim_eval.experiments.card import ARGUMENTS, Card, CardTraining, CardVerdict, parse_card, sealed
 from roboxim_eval.experiments.combinations import TransferCurve, name_of, transfer_curve
@@ -103,6 +103,8 @@ def check_card(data: Any, *, source: str = "card") -> Card:
     card = parse_card(data, source=source)
     try:
         again = concluded(card).plain
+    except RoboximError as error:
+        raise ConfigError(f"{source}: {error}") from error
     except (
         LookupError,
         ArithmeticError,

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import Cost, Design, Rates, cost_of
 from roboxim_eval.experiments.allocation import Allocation
 from roboxim_eval.experiments.cost import detectable_drop, same_checkpoints, trainings_at_once
@@ -171,11 +172,17 @@ def earlier_components(cards: Sequence[Path]) -> Components:
     """Return the components that the primary comparisons of earlier cards have in common.
 
     Raises:
-        ConfigError: When a file is no card, was changed, compares nothing or has one training.
+        ConfigError: When a file is no card, was changed, compares nothing or has one training, or nothing varies.
     """
     from roboxim_runs.experiments.report import stored_card
 
-    return pooled_components([primary_components(stored_card(path)) for path in cards])
+    found = pooled_components([primary_components(stored_card(path)) for path in cards])
+    if not found.variance(1, 1):
+        raise ConfigError(
+            f"{', '.join(map(str, cards))}: all rollouts of a cell ended alike in both conditions of the primary "
+            "comparison, so they show no spread to plan by; give a card in which outcomes vary, or plan without --from"
+        )
+    return found
 
 
 def _table(design: Design) -> Iterator[str]:

@@ -213,6 +213,16 @@ def test_an_earlier_card_decides_what_a_budget_buys():
         CliRunner().invoke(command, [*words[:4], *words[6:]], catch_exceptions=False)
 
 
+def test_a_card_without_any_spread_decides_no_budget(tmp_path):
+    store_rates(OWN)
+    design = design_of(load_experiment("skill_object", "laptop"))
+    path = tmp_path / "card.json"
+    path.write_text(json.dumps(planted_card(design, lambda *_: 1.0).plain))
+    words = ["plan", "skill_object", "--scale", "laptop", "--budget", "8h", "--from", str(path), "--no-probe"]
+    with pytest.raises(ConfigError, match="card.json: all rollouts of a cell ended alike"):
+        CliRunner().invoke(command, words, catch_exceptions=False)
+
+
 def test_a_report_is_printed_as_json():
     card = Path(__file__).parents[4] / "docs/results/skill_object-night/card.json"
     printed = CliRunner().invoke(command, ["report", "--from", str(card), "--json"], catch_exceptions=False)

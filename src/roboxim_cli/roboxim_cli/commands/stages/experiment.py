@@ -319,7 +319,7 @@ def _score_text(value: object) -> str:
     if isinstance(value, dict):
         return f"{_score_text(value['rate'])} of {value['failed']} failures; {value['worst'] or 'none'}"
     if isinstance(value, list):
-        middle, low, high = ("unbounded" if x is None else f"{x:.2f}" for x in value)
+        middle, low, high = ("unbounded" if x is None else f"{round(x, 2) + 0:.2f}" for x in value)
         return f"{middle} ({low} to {high})"
     return "not measured"
 
