@@ -12,6 +12,7 @@ from roboxim_datasets.episode import Episode, Step
 from roboxim_studio.episode.arm_track import ArmTrack, arm_track, arms_that_fit, named_arm
 from roboxim_studio.episode.statistics import distributions
 from roboxim_studio.opening import recognise
+from roboxim_studio.panels.dataset import DatasetPanel
 
 LIBRARY = ModelLibrary()
 PANDA = LIBRARY.robot("panda")
@@ -127,6 +128,24 @@ def test_the_arm_of_a_foreign_dataset_is_shown_at_every_step(studio, foreign):
     found = panel.measure()
     assert len(found) == 7
     assert {int(one.counts.sum()) for one in found} == {2 * STEPS}
+
+
+def test_pictures_are_those_of_the_step_that_the_slider_says(studio, foreign, monkeypatch):
+    monkeypatch.setattr(DatasetPanel, "_fill", lambda *_: None)
+    studio.open(recognise(str(foreign)))
+    monkeypatch.undo()
+    panel = studio.dataset
+    panel.step(3)  # before any picture has come
+    panel._fill(panel.episode, panel._pictures)
+    assert (panel.number, panel._slider.value) == (3, 3)
+    ((name, shown),) = panel._images.items()
+    assert (shown.image == panel._pictures.at(3)[name]).all()
+    panel._pictures.data[name].pop(1)
+    panel.step(1)  # whose picture has not come
+    assert not shown.visible
+    panel.step(2)
+    assert shown.visible
+    assert (shown.image == panel._pictures.at(2)[name]).all()
 
 
 @pytest.mark.thorough

@@ -288,11 +288,19 @@ class DatasetPanel:
         return found
 
     def step(self, number: int) -> None:
-        """Show the arm at a step, and those of its pictures that have come."""
+        """Show the arm at a step, and those of its pictures that have come; the others follow."""
         with self._lock:
             self.number = self._slider.value = number
             self._show_arm()
-            for name, image in self._pictures.at(number).items():
+            self._show_pictures()
+
+    def _show_pictures(self) -> None:
+        """Show the pictures of the step, and none of another step."""
+        with self._lock:
+            images = self._pictures.at(self.number)
+            for name, handle in self._images.items():
+                handle.visible = name in images
+            for name, image in images.items():
                 if name in self._images:
                     self._images[name].image = image
                 else:
@@ -303,8 +311,8 @@ class DatasetPanel:
         try:
             for step in episode.steps(cameras=tuple(episode.cameras)):
                 pictures.add(step.index, {name: _scaled(image) for name, image in step.images.items()})
-                if step.index == 0 and self._pictures is pictures:
-                    self.step(0)
+                if self._pictures is pictures and step.index == self.number:
+                    self._show_pictures()
         except RoboximError as error:
             self._site.send(alert=str(error))
         finally:
