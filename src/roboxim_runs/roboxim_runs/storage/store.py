@@ -26,6 +26,8 @@ STORED_FILE = "stored.jsonl"
 """File with a line for each stored bag: its path in the run and the SHA-256 and size of its files."""
 SMALL_FILES = (RUN_FILE, RESULTS_FILE, STORED_FILE)
 """Files of a run that are uploaded besides its bags."""
+SUMS_FILE = "SHA256SUMS"
+"""Checksums of a dataset's files, the last file of its upload."""
 TRIES = 4
 """Number of attempts at a transfer, with growing pauses."""
 PAUSE_S = 1.0
@@ -325,19 +327,36 @@ def readable_run(run: Path, bags: Sequence[str]) -> Iterator[Path]:
         yield folder
 
 
-def upload_dataset(folder: Path, url: str) -> int:
+def upload_dataset(folder: Path, url: str, *, overwrite: bool = False) -> int:
     """Upload a dataset's files; the list of their checksums comes last, as ``SHA256SUMS``.
 
     Args:
         folder: The dataset's folder.
         url: Destination.
+        overwrite: Whether another state of the same files is replaced.
 
     Returns:
         Number of files.
+
+    Raises:
+        ConfigError: When the store has other files, or a complete dataset that differs.
+        UnavailableError: When the store cannot be reached.
     """
     with Store.opened(url) as store, tempfile.TemporaryDirectory(prefix="roboxim-store-") as place:
         names = sorted(str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
-        sums = Path(place) / "SHA256SUMS"
-        sums.write_text("".join(f"{store.put(folder / name, name)['sha256']}  {name}\n" for name in names))
-        store.put(sums, sums.name)
+        sums, there = Path(place) / SUMS_FILE, Path(place) / "there"
+        sums.write_text("".join(f"{file_sha256(folder / name)}  {name}\n" for name in names))
+        found = [name for name in store.find() if not name.endswith(".partial")]  # a killed upload leaves those
+        if others := sorted(set(found) - {*names, SUMS_FILE}):
+            raise ConfigError(
+                f"{url} has {len(others)} files that are not of {folder}, e.g. {others[0]}, and a reader would take "
+                "them for a part of it; choose another --store, or empty this one"
+            )
+        if SUMS_FILE in found and not overwrite:
+            store.get(SUMS_FILE, there)
+            if there.read_bytes() != sums.read_bytes():
+                raise ConfigError(f"{url} has another dataset; --overwrite replaces it, or choose another --store")
+        for name in names:
+            store.put(folder / name, name)
+        store.put(sums, SUMS_FILE)
     return len(names)

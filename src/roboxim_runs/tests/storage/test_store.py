@@ -135,6 +135,23 @@ def test_a_dataset_is_uploaded_with_its_checksums(url, tmp_path):
         }  # fmt: skip
 
 
+def test_a_dataset_replaces_no_other_one(url, tmp_path):
+    (tmp_path / "dataset").mkdir()
+    (tmp_path / "dataset" / "info.json").write_text("{}")
+    for _ in range(2):  # as after an upload that was stopped
+        assert upload_dataset(tmp_path / "dataset", url) == 1
+    (tmp_path / "dataset" / "info.json").write_text("[]")
+    with pytest.raises(ConfigError, match="has another dataset; --overwrite"):
+        upload_dataset(tmp_path / "dataset", url)
+    upload_dataset(tmp_path / "dataset", url, overwrite=True)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "data").write_text("1")
+    with pytest.raises(ConfigError, match=r"has 1 files that are not of .*/other, e.g. info.json"):
+        upload_dataset(tmp_path / "other", url, overwrite=True)
+    with local_sources([url]) as [folder]:
+        assert (folder / "info.json").read_text() == "[]"
+
+
 def test_a_lost_connection_is_tried_again_and_then_named(tmp_path, monkeypatch):
     pytest.importorskip("fsspec")
     monkeypatch.setattr(stores, "PAUSE_S", 0.0)

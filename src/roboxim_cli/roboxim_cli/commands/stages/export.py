@@ -133,7 +133,7 @@ def _export(
         )
     _print_report(report)
     if store:
-        click.echo(f"{store}: {upload_dataset(out, store)} files uploaded and compared")
+        click.echo(f"{store}: {upload_dataset(out, store, overwrite=overwrite)} files uploaded and compared")
     if name == "rlds":
         click.echo(f"next: roboxim train bc {out}")
 
