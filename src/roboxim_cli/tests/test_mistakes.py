@@ -71,9 +71,10 @@ def test_an_export_says_that_its_run_is_not_finished(tmp_path):
         folder.append(EpisodeResult(episode_id="e0", index=0, outcome="success"))
         assert unfinished(run) == "1 of 2 episodes are done; 'roboxim generate' is still running there"
     assert unfinished(run / "episodes") == "1 of 2 episodes are done; 'roboxim generate' was stopped there"
-    with RunFolder(run).opened({"purpose": "demo", "episodes": 1}):
-        pass
-    assert unfinished(run) == ""
+    for wanted in ({"episodes": 1}, {"episodes": 2, "shard": "1/2"}):
+        with RunFolder(run).opened({"purpose": "demo", **wanted}):
+            pass
+        assert unfinished(run) == ""
 
 
 def test_a_broken_task_is_named_and_hides_no_other(tmp_path, monkeypatch):

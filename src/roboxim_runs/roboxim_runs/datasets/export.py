@@ -20,7 +20,7 @@ from roboxim_recorder.export.lerobot import LeRobotConfig
 from roboxim_recorder.export.rlds import ExportConfig
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
-from roboxim_runs.storage.folder import RunFolder, checked_path, command_of
+from roboxim_runs.storage.folder import RunFolder, checked_path, command_of, wanted_indices
 
 REPLAY_FILE = "replay.json"
 """File beside a dataset that has passed or not passed the gate, with every episode and tick."""
@@ -198,7 +198,7 @@ def unfinished(source: Path) -> str:
     if not (folder.path / RUN_FILE).exists():
         return ""
     config, done = folder.config(), len(folder.results())
-    wanted = int(config.get("episodes", done))
+    wanted = len(wanted_indices(config)) if "episodes" in config else done
     running = folder.in_use
     if not running and done >= wanted:
         return ""

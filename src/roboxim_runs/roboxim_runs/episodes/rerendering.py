@@ -308,7 +308,7 @@ def rerender(
     ):
         recorded = {result.episode_id for result in folder.results()}
         done = {name for name, reader in episodes.items() if _is_rendered(reader, config, folder.path)}
-        for name in done - recorded:  # killed between the bag and its line
+        for name in sorted(done - recorded):  # killed between the bag and its line
             bag = folder.path / "episodes" / name
             folder.append(replace(BagReader(bag).result, bag=str(bag.relative_to(folder.path))))
         missing = {name: reader for name, reader in episodes.items() if name not in done}

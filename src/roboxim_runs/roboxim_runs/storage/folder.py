@@ -206,7 +206,7 @@ class RunFolder:
             )
         config = self.config() if (self.path / RUN_FILE).exists() else {}
         there = {result.index for result in self.results()}
-        wanted = Shard.parse(config.get("shard", "")).indices(int(config.get("episodes", 0)))
+        wanted = wanted_indices(config)
         if lost := [index for index in wanted if index not in there]:
             names = ", ".join(map(str, lost[:5])) + (", ..." if len(lost) > 5 else "")
             found.append(
@@ -229,7 +229,7 @@ class RunFolder:
         return [
             result
             for result in results
-            if result.bag and result.bag not in stored and not (self.path / result.bag).exists()
+            if result.bag and result.bag not in stored and not any((self.path / result.bag).glob("*.mcap"))
         ]
 
     def discard(self, indices: Iterable[int]) -> None:
@@ -288,6 +288,11 @@ def folders_with(name: str, folder: Path, deepest: int) -> Iterator[Path]:
 def run_key(config: Mapping[str, Any]) -> str:
     """Return the hash of everything that a run's results depend on, 16 hexadecimal digits."""
     return digest({name: value for name, value in config.items() if name not in MAY_DIFFER})
+
+
+def wanted_indices(config: Mapping[str, Any]) -> range:
+    """Return the indices of the episodes that a run's configuration asks for; of a shard, its part."""
+    return Shard.parse(config.get("shard", "")).indices(int(config.get("episodes", 0)))
 
 
 def require_bags(folder: RunFolder, results: Iterable[EpisodeResult]) -> None:

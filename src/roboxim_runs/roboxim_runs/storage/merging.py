@@ -334,11 +334,13 @@ class _Merge:
             place.parent.mkdir(parents=True, exist_ok=True)
             made.rename(place)
             return
+        own = {episode.result.episode for episode in self.chosen.values() if episode.run.path == place}
         with locked(place):
             for bag in sorted(path for kind in PLACES.values() for path in (made / kind).glob("*")):
                 there = place / bag.relative_to(made)
                 there.parent.mkdir(exist_ok=True)
-                if not there.exists():
+                if bag.name.rpartition("-")[0] not in own:
+                    shutil.rmtree(there, ignore_errors=True)  # of an episode without a result: a killed run left it
                     bag.rename(there)
             for file in sorted(
                 (path for path in made.iterdir() if path.is_file()), key=lambda p: p.name == RESULTS_FILE

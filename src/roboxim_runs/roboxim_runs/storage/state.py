@@ -18,10 +18,9 @@ from typing import Any
 from roboxim_core.episode.records import NOT_PLAYED
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.results_log import RESULTS_FILE, RUN_FILE
-from roboxim_core.shards import Shard
 from roboxim_runs.pace import Pace
 from roboxim_runs.storage.event_log import ENDED, EVENTS_FILE, STARTED
-from roboxim_runs.storage.folder import RunFolder, command_of, folders_with
+from roboxim_runs.storage.folder import RunFolder, command_of, folders_with, wanted_indices
 
 DEEPEST = 4
 """Levels below a folder at which runs are looked for."""
@@ -92,7 +91,7 @@ def run_state(folder: Path, now_s: float | None = None) -> RunState:
     run = RunFolder(folder)
     config = run.config()
     done = _results_in(folder / RESULTS_FILE)
-    total = len(Shard.parse(config.get("shard", "")).indices(int(config.get("episodes", 0))))
+    total = len(wanted_indices(config))
     events = list(_last_events(folder / EVENTS_FILE))
     started: dict[str, Any] = next((event for event in reversed(events) if event["event"] == STARTED), {})
     last = events[-1] if events else {}

@@ -1,5 +1,6 @@
 import errno
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -231,16 +232,18 @@ def test_a_vanished_bag_is_named_and_its_episode_run_again(tmp_path):
     def recorded(job):
         bag = f"episodes/demo-0-{job.data:05d}-0"
         (tmp_path / "run" / bag).mkdir(parents=True)
+        (tmp_path / "run" / bag / "x_0.mcap").touch()
         return done(job, bag=bag)
 
     job = job_in(tmp_path / "run")
     run_episodes(job, "", {}, executor=Executor(recorded))
-    (tmp_path / "run" / "episodes" / "demo-0-00001-0").rmdir()
-    with pytest.raises(RecorderError, match=r"1 bag .* is gone: episodes/demo-0-00001-0; .*--repair"):
+    shutil.rmtree(tmp_path / "run" / "episodes" / "demo-0-00001-0")
+    (tmp_path / "run" / "episodes" / "demo-0-00002-0" / "x_0.mcap").unlink()  # its folder alone is no bag
+    with pytest.raises(RecorderError, match=r"2 bags .* are gone: episodes/demo-0-00001-0, .*--repair"):
         run_episodes(job, "", {}, executor=Executor(recorded))
     executor = Executor(recorded)
     results = run_episodes(job, "", {}, executor=executor, repair=True)
-    assert executor.asked == [[1]]
+    assert executor.asked == [[1, 2]]
     assert [r.index for r in results] == [0, 1, 2]
     run_episodes(job, "", {}, executor=executor)
 

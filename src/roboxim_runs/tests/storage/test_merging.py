@@ -118,6 +118,17 @@ def test_missing_episodes_are_named_and_a_later_shard_completes_the_folder(shard
     assert len(files(tmp_path / "out")) == len(files(write(tmp_path / "whole", "1/1")))
 
 
+def test_a_bag_without_a_result_is_replaced_by_the_shard_s(shards, tmp_path):
+    merge_shards(tmp_path / "out", shards[::2], partial=True)
+    left = tmp_path / "out" / "episodes" / "eval-0-00001-1"  # a run was killed between the bag and its line
+    left.mkdir()
+    (left / "x_0.mcap").write_text("another recording")
+    merge_shards(tmp_path / "out", [shards[1]])
+    assert files(tmp_path / "out") == files(write(tmp_path / "whole", "1/1")) | {
+        "run.json": (tmp_path / "out" / "run.json").read_text()
+    }
+
+
 def test_a_lost_bag_and_a_running_shard_are_refused(shards, tmp_path):
     with (
         RunFolder(shards[0]).opened({**CONFIG, "shard": "1/3", "workers": 3}),
