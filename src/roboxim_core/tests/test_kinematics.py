@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roboxim_core.actions import ActionSemantics, hold_action
-from roboxim_core.errors import ErrorCode, InvalidRequestError
+from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError
 from roboxim_core.kinematics import ArmKinematics, DeltaController, delta_between
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose, distance
@@ -193,3 +196,14 @@ def test_malformed_action_is_refused(action: object) -> None:
     with pytest.raises(InvalidRequestError) as caught:
         CONTROLLER.step(CONTROLLER.start(HOME), action)
     assert caught.value.code == ErrorCode.INVALID_ACTION
+
+
+def test_a_continuous_joint_is_refused_and_not_placed_wrongly(tmp_path: Path) -> None:
+    """Pinocchio places a continuous joint by its cosine and sine."""
+    model = LIBRARY.robot("panda")
+    text = model.urdf.read_text()
+    changed = re.sub(rf'(<joint name="{model.joint_names[6]}" type=")revolute', r"\1continuous", text)
+    assert changed != text
+    (tmp_path / "panda.urdf").write_text(changed)
+    with pytest.raises(ConfigError, match=f"joint '{model.joint_names[6]}' has 2 numbers, expected 1: a continuous"):
+        ArmKinematics(replace(model, urdf=tmp_path / "panda.urdf"))

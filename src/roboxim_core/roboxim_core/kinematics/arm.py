@@ -56,7 +56,7 @@ class ArmKinematics:
         """Load the model's URDF.
 
         Raises:
-            ConfigError: When the URDF lacks a joint or link that the model names.
+            ConfigError: When the URDF lacks a joint or link that the model names, or a joint is continuous.
         """
         import pinocchio as pin
 
@@ -68,6 +68,11 @@ class ArmKinematics:
         for name in (*model.joint_names, *model.gripper.joint_names, *followers):
             if not self._pin.existJointName(name):
                 raise ConfigError(f"{model.urdf} has no joint '{name}'; {one_of(self._pin.names, name)}")
+            if (joint := self._pin.joints[self._pin.getJointId(name)]).nq != 1:
+                raise ConfigError(
+                    f"{model.urdf}: joint '{name}' has {joint.nq} numbers, expected 1: a continuous joint must be "
+                    "written as revolute, with lower and upper limits"
+                )
         self._arm = self._places(model.joint_names)
         self._fingers, self._followers = self._places(model.gripper.joint_names), self._places(followers)
         self._frames = {
