@@ -92,7 +92,9 @@ class SceneChecks:
                 f"a trajectory needs finite positions of shape (N, {self.robot.dof}), N >= 1, got shape {path.shape}"
             )
         clock = None if times is None else np.asarray(times, dtype=float)
-        if clock is not None and (clock.shape != path.shape[:1] or not (np.diff(clock) > 0).all()):
+        if clock is not None and not (
+            clock.shape == path.shape[:1] and np.isfinite(clock).all() and (np.diff(clock) > 0).all()
+        ):
             raise InvalidRequestError("times of a trajectory must be finite, one per point, and strictly increasing")
         rates = []
         for name, values in (("velocities", velocities), ("accelerations", accelerations)):

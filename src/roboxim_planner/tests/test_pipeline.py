@@ -373,3 +373,10 @@ def test_check_trajectory_finds_limits(planner: Planner, table: PlanningScene) -
     for bad in ({"times": [0.0, 0.0]}, {"times": [0.0]}, {"velocities": [[0.0] * 7]}):
         with pytest.raises(InvalidRequestError):
             planner.check_trajectory(table, path, **bad)
+
+
+def test_a_trajectory_that_never_ends_is_refused(planner: Planner, table: PlanningScene) -> None:
+    home = planner.named_state("home")
+    for last in (np.inf, np.nan, 0.0):
+        with pytest.raises(InvalidRequestError, match="times of a trajectory must be finite"):
+            planner.check_trajectory(table, np.stack([home, home + 0.1]), [0.0, last])
