@@ -14,15 +14,14 @@ from dataclasses import dataclass, fields, replace
 from string import Formatter
 from typing import Any
 
+from roboxim_core.config import from_plain
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.modifiers import color_word
 from roboxim_core.plain_data.wordings import english_wordings
-from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
-from roboxim_tasks.config import task_config
+from roboxim_tasks.fixed_scene import FixedScene, FixedTaskConfig
 from roboxim_tasks.roles import SPOKEN, task_objects
-from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.sequences.steps import is_sequence, own_objects, sentences_of, steps_of, task_of
 from roboxim_tasks.skills import SKILLS, Skill
 
@@ -80,7 +79,7 @@ def _read_one(
             missing, parameters, choices = _objects(skill, words, scene, library)
             absent += missing
             for chosen in choices:
-                task = _task(skill, template, parameters, chosen, library)
+                task = _task(skill, text, parameters, chosen, scene, library)
                 if task is not None and task not in tasks:
                     tasks.append(task)
     return Reading(understood=understood, tasks=tuple(tasks), absent=tuple(dict.fromkeys(absent)) if not tasks else ())
@@ -218,31 +217,17 @@ def _descriptions(thing: PhysicalObject, library: ModelLibrary) -> set[str]:
 
 
 def _task(
-    skill: Skill, template: str, parameters: Mapping[str, Any], chosen: Mapping[str, PhysicalObject],
+    skill: Skill, text: str, parameters: Mapping[str, Any], chosen: Mapping[str, PhysicalObject], scene: SceneSpec,
     library: ModelLibrary,
 ) -> TaskSpec | None:  # fmt: skip
-    """Make the task of a template about certain objects; none: the skill refuses it."""
-    objects = {
-        role: {
-            "models": {"values": [thing.model]},
-            "modifiers": {kind: {"values": [value]} for kind, value in thing.modifiers.items()},
-        }
-        for role, thing in chosen.items()
-    }
-    data = {
-        "skill": skill.name,
-        "parameters": dict(parameters),
-        "objects": objects,
-        "templates": {"values": [template]},
-    }
+    """Make the task of a text about certain objects of a scene; none: the skill refuses it."""
+    models = {role: library.entity_model(scene.entity(thing.entity)) for role, thing in chosen.items()}
+    fixed = FixedScene(instruction=text, roles={role: thing.entity for role, thing in chosen.items()}, scene=scene)
     try:
-        config = task_config(data, source="an instruction", library=library)
-        context = GenerationContext(
-            seed=SeedPath(run_seed=0, purpose="test", index=0), config=config, library=library, roles=skill.roles,
-            mismatch=skill.mismatch,
-        )  # fmt: skip
-        task = skill.generate(context)
+        values = from_plain(dict(parameters), skill.Parameters, source="an instruction")
+        skill.check(values, {role: (model,) for role, model in models.items()})
+        if skill.mismatch(values, models):
+            return None
+        return FixedTaskConfig(skill=skill.name, parameters=values, lenient=values, fixed=fixed).task("test", library)
     except RoboximError:
         return None
-    named = {role: replace(thing, entity=chosen[role].entity) for role, thing in task.objects.items()}
-    return replace(task, objects=named)

@@ -5,14 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from scipy.spatial.transform import Rotation
 
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
-from roboxim_core.specs import SceneSpec, TaskSpec
-from roboxim_tasks.config import load_task_config
+from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
+from roboxim_tasks.config import load_task_config, parse_task_config
 from roboxim_tasks.meaning import asks_for_same, read_instruction
 from roboxim_tasks.sampling.episodes import EpisodeGenerator
 from roboxim_tasks.skills import SKILLS
+
+HALF_TURN = Rotation.from_euler("z", 180, degrees=True)
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +44,17 @@ def test_the_instruction_of_every_skill_is_read_as_its_task(skill: str, draw, li
         assert any(asks_for_same(found, task) for found in reading.tasks), task.instruction
         same = next(found for found in reading.tasks if asks_for_same(found, task))
         assert same.arguments == task.arguments
+
+
+def test_an_instruction_is_read_for_the_arm_of_the_scene(library: ModelLibrary) -> None:
+    config = parse_task_config("{skill: push_button, robot: xarm7}")
+    made = EpisodeGenerator(library).draw(SeedPath(run_seed=3, purpose="test", index=0), config)
+    (found,) = read_instruction(made.task.instruction, made.scene, library).tasks
+    assert asks_for_same(found, made.task)
+    turned = replace(made.scene, robot=replace(made.scene.robot, pose=Pose.from_arrays((0, 0, 0), HALF_TURN)))
+    cube = EntitySpec(name="target", model="cube")
+    (found,) = read_instruction("Push the cube forward", replace(turned, entities=(cube,)), library).tasks
+    assert found.arguments["direction_x"] == pytest.approx(-1.0)
 
 
 def test_a_drawer_is_named_beside_its_cabinet(draw, library: ModelLibrary) -> None:
