@@ -309,7 +309,7 @@ class _Run:
         require_policies(self.out, named)
         inputs = {
             stage.name: as_json(self._inputs(stage)) for stage in self.stages
-            if stage.kind != "evaluate" or self.policies.get(stage.name) or stage.name not in before
+            if stage.name not in before or not self._lacks_what_it_ran_with(stage)
         }  # fmt: skip
         content = {
             "experiment": self.config.experiment, "scale": self.config.scale, "trainer": self.config.trainer,
@@ -346,12 +346,17 @@ class _Run:
         return stage.inputs | ({"policy": to_plain(policy)} if policy else {}) | self._start(stage)
 
     def _key(self, stage: Stage) -> str:
-        policy, start = self.policies.get(stage.name), self._starts.get(stage.name)
-        if (policy is None and stage.kind == "evaluate") or start == "":  # what it ran with is not there now
+        policy = self.policies.get(stage.name)
+        if self._lacks_what_it_ran_with(stage):
             return next((e.key for e in self.log.read() if e.data.get("stage") == stage.name), "")
         part = {"shard": self.config.shard} if self.config.shard else {}
         policy_data = as_json(to_plain(policy)) if policy else None
         return digest({"sha": stage.sha, "name": stage.name, "policy": policy_data, **self._start(stage), **part})
+
+    def _lacks_what_it_ran_with(self, stage: Stage) -> bool:
+        """Whether the policy that a stage evaluates is not named now, or the checkpoint that it begins with is gone."""
+        unnamed = stage.kind == "evaluate" and self.policies.get(stage.name) is None
+        return unnamed or self._starts.get(stage.name) == ""
 
     def _start(self, stage: Stage) -> dict[str, str]:
         """Return the weights that a training begins with; empty: they are drawn."""
