@@ -232,6 +232,13 @@ def test_a_ratio_to_a_baseline_that_fails_is_refused():
     assert good.ratio.value == pytest.approx(1.5), "a ratio is not clipped at 1"
 
 
+def test_no_limit_does_not_allow_a_ratio_to_what_may_be_0():
+    seldom = Arm(replicates=tuple({"a": Count(successes=n, episodes=120)} for n in (0, 0, 36)))
+    never = Arm(replicates=({"a": Count(successes=0, episodes=120)},) * 3)
+    found = relative_score(never, seldom, refuse_below=0.0)
+    assert found.refused.startswith("the baseline may succeed in as little as 0 %")
+
+
 def test_a_policy_that_memorises_pairs_is_found_out():
     rng = np.random.default_rng(5)
     leave_out = arm(rng, flat(0.01) | flat(0.9, SEEN))

@@ -85,8 +85,8 @@ class Scores:
 def relative_score(unseen: Arm, baseline: Arm, blind: Arm | None = None, *, refuse_below: float = 0.10) -> Relative:
     """Return u / s, or refuse it.
 
-    It is refused if the lower bound of s is below ``refuse_below``, or if s is not above b: a baseline that fails, or
-    is no better than a policy without words, is no reference.
+    It is refused if the lower bound of s is 0 or below ``refuse_below``, or if s is not above b: a baseline that fails,
+    or is no better than a policy without words, is no reference.
 
     Args:
         unseen: The leave-out condition in held-out cells.
@@ -100,7 +100,7 @@ def relative_score(unseen: Arm, baseline: Arm, blind: Arm | None = None, *, refu
     if len(unseen.replicates) < MIN_REPLICATES:
         return Relative(ratio=None, refused=f"fewer than {MIN_REPLICATES} trainings of each condition have no interval")
     s = condition_rate(baseline)
-    if s.low < refuse_below or not s.value:
+    if s.low < refuse_below or not s.low:  # a ratio to 0 has no upper bound
         return Relative(
             ratio=None,
             refused=f"the baseline may succeed in as little as {100 * s.low:.0f} % of these episodes (limit: "
