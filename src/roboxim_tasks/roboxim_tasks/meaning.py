@@ -224,7 +224,7 @@ def _task(
     models = {role: library.entity_model(scene.entity(thing.entity)) for role, thing in chosen.items()}
     fixed = FixedScene(instruction=text, roles={role: thing.entity for role, thing in chosen.items()}, scene=scene)
     try:
-        values = from_plain(dict(parameters), skill.Parameters, source="an instruction")
+        values: Any = from_plain(dict(parameters), skill.Parameters, source="an instruction")
         skill.check(values, {role: (model,) for role, model in models.items()})
         if skill.mismatch(values, models):
             return None

@@ -225,10 +225,14 @@ class AuditEpisode:
         return found
 
     @cached_property
-    def numbers(self) -> dict[str, Values]:
+    def numbers(self) -> dict[str, Floats | Values]:
         """All numbers that checks compute with: name to shape (T, size)."""
-        more = {"executed action": self.executed, "time": None if self.stamps_s is None else self.stamps_s[:, None]}
-        return {"action": self.actions, **{k: v for k, v in more.items() if v is not None}, **self.proprio}
+        found: dict[str, Floats | Values] = {"action": self.actions}
+        if self.executed is not None:
+            found["executed action"] = self.executed
+        if self.stamps_s is not None:
+            found["time"] = self.stamps_s[:, None]
+        return found | self.proprio
 
     @cached_property
     def finite(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
-from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Severity
+from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Severity, Values
 from roboxim_datasets.episode import Floats
 
 CONSTANT = 1e-8
@@ -108,7 +108,7 @@ class Statistics(AuditCheck):
 
     def __init__(self) -> None:
         """Remember the numbers."""
-        self._episodes: dict[str, list[tuple[str, Floats]]] = {}
+        self._episodes: dict[str, list[tuple[str, Floats | Values]]] = {}
 
     def look(self, episode: AuditEpisode) -> Iterator[Finding]:
         """Find numbers that are not finite."""
