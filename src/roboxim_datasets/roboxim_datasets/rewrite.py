@@ -34,6 +34,8 @@ from roboxim_datasets.registry import FORMATS
 from roboxim_datasets.rlds.episodes import USUAL_KEYS
 
 _NAME = re.compile(r"[^./\\][^/\\]{0,99}")
+_COUNTED = re.compile(r"(?:simulated )?episodes\b")
+_COUNT = re.compile(rf"^\d+ (?={_COUNTED.pattern})")
 CONVENTION_FILE = "convention.yaml"
 Progress = Callable[[int, int], None]
 
@@ -105,7 +107,7 @@ def write_dataset(
     _require_outside(path, sources)
     description = stated_rate(common_description(sources, keep_keys=keep_keys), fps, sources)
     metadata, partial = _metadata_of(plan)
-    description = replace(description, metadata=metadata)
+    description = replace(description, metadata=metadata, text=_text(sources, sum(map(len, plan.values()))))
     if any(place.changed and place.read().success is None for places in plan.values() for place in places):
         description = replace(description, outcomes=False)
     _require_names(description, plan)
@@ -302,12 +304,22 @@ def common_description(sources: Sequence[Dataset], *, keep_keys: bool = False) -
         keys = {camera: _neutral(camera, key) for camera, key in keys.items()}
         if len(set(keys.values())) < len(keys):
             keys = {camera: re.sub(r"[./]", "_", camera) for camera in keys}
-    rate = f"{first.fps:g} Hz" if first.fps else "rate not stated"
-    text = first.text or f"{sum(map(len, sources))} episodes; robot: {first.robot or 'not stated'}; {rate}."
     outcomes = all(source.description.outcomes for source in sources)
     subtasks = any(source.features.subtasks for source in sources)
     features = replace(first.features, keys=keys, subtasks=subtasks)
-    return replace(first, features=features, text=text, outcomes=outcomes)
+    return replace(first, features=features, outcomes=outcomes)
+
+
+def _text(sources: Sequence[Dataset], episodes: int) -> str:
+    """Return the description of a dataset that has some episodes of others: theirs, with its own number of episodes."""
+    about = sources[0].description
+    rate = f"{about.fps:g} Hz" if about.fps else "rate not stated"
+    stated = [source.description.text for source in sources if source.description.text]
+    texts = list(dict.fromkeys(_COUNT.sub("", text) for text in stated))
+    texts = texts or [f"episodes; robot: {about.robot or 'not stated'}; {rate}."]
+    if len(texts) > 1:
+        return " ".join([f"{episodes} episodes.", *texts])
+    return f"{episodes} {texts[0]}" if _COUNTED.match(texts[0]) else texts[0]
 
 
 def require_all_shards(sources: Sequence[Dataset]) -> None:

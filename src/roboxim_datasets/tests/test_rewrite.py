@@ -95,6 +95,23 @@ def test_some_shards_of_an_export_are_not_merged_as_all(tmp_path, write):
             require_all_shards(some)
 
 
+def test_the_description_has_the_number_of_the_new_datasets_episodes(tmp_path, write, description):
+    def described(name, number, text):
+        return write(tmp_path / name, [number], description=replace(description, text=text))
+
+    def text_of(*sources):
+        name = "m-" + "".join(source.path.parts[-3] for source in sources)
+        written = write_dataset(plan_of(*sources), tmp_path / name, "rlds", how="merge")
+        return open_dataset(written.path).description.text
+
+    a = described("a", 0, "1 simulated episodes recorded with RoboXim; skills: lift.")
+    b = described("b", 1, "1 simulated episodes recorded with RoboXim; skills: lift.")
+    c, d = described("c", 2, "12 episodes of pushing."), described("d", 3, "")
+    assert text_of(a, b) == "2 simulated episodes recorded with RoboXim; skills: lift."
+    assert text_of(a, c) == ("2 episodes. simulated episodes recorded with RoboXim; skills: lift. episodes of pushing.")
+    assert text_of(d) == "1 episodes; robot: panda; 10 Hz."
+
+
 def test_an_interrupted_merge_goes_on(tmp_path, write):
     a, options = write(tmp_path / "a", [0, 1, 2, 3]), RldsOptions(name="copy")
 
