@@ -1,4 +1,6 @@
 import shutil
+import subprocess
+import sys
 
 import pytest
 
@@ -120,3 +122,32 @@ def test_a_run_lists_its_episodes_and_says_which_cannot_be_read(studio, run, tmp
     with pytest.raises(RoboximError):
         studio.open_bag(entries[1].path)
     assert studio.episode.film.title == entries[0].name
+
+
+ENDS = """
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+import numpy as np
+from roboxim_recorder.bag import BagReader
+from roboxim_studio.episode.film import read_film
+
+def without_end(reader, **wanted):
+    return iter(lambda: SimpleNamespace(seq=0, images={"workspace": picture}), None)
+
+film, picture = read_film(Path(sys.argv[1]), in_background=False), np.zeros((512, 512, 3), np.uint8)
+whole, BagReader.ticks = BagReader.ticks, lambda reader, **wanted: (
+    without_end(reader) if "kinds" in wanted else whole(reader, **wanted)
+)
+film = read_film(Path(sys.argv[1]))
+while not film.pictures.at(0):
+    pass
+"""
+
+
+@pytest.mark.thorough
+def test_a_program_ends_while_pictures_are_read(bag):
+    done = subprocess.run(
+        [sys.executable, "-c", ENDS, str(bag)], capture_output=True, text=True, check=False, timeout=300
+    )
+    assert (done.returncode, done.stderr) == (0, "")

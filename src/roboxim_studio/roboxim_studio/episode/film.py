@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,7 @@ from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
 from roboxim_recorder.acted import ActedBy, acted_by, actor_of, is_shared
 from roboxim_recorder.bag import BagReader
+from roboxim_studio.background import program_ends, run_beside
 
 QUALITY = 92
 """JPEG quality of pictures that are kept in memory."""
@@ -114,10 +116,14 @@ def read_film(path: Path, *, in_background: bool = True) -> Film:
     pictures = Pictures()
 
     def fill() -> None:
-        if in_background:
-            pictures.requested.wait(GRACE_S)
+        begun = time.monotonic()
+        while in_background and not program_ends() and time.monotonic() - begun < GRACE_S:
+            if pictures.requested.wait(0.1):
+                break
         try:
             for tick in BagReader(path, info=reader.info).ticks(kinds=("image",)):
+                if program_ends():
+                    break
                 pictures.add(tick.seq, tick.images)
         except RecorderError:
             pass  # the states are whole; a bag whose images were filtered out is shown without them
@@ -125,7 +131,7 @@ def read_film(path: Path, *, in_background: bool = True) -> Film:
             pictures.complete.set()
 
     if in_background:
-        threading.Thread(target=fill, name="pictures", daemon=True).start()
+        run_beside(fill, "pictures")
     else:
         fill()
     return Film(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from roboxim_datasets.episode import Episode, Step
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.plans import Place
 from roboxim_datasets.where import Fact
+from roboxim_studio.background import program_ends, run_beside
 from roboxim_studio.bench import Bench
 from roboxim_studio.episode.arm_track import ArmTrack, arm_track, arms_that_fit, named_arm
 from roboxim_studio.episode.film import Pictures
@@ -141,7 +143,7 @@ class DatasetPanel:
             with self.folder:
                 self._build(episode, rows)
             self.choose_arm(self._arm)
-        threading.Thread(target=self._fill, args=(episode, self._pictures), name="pictures", daemon=True).start()
+        run_beside(partial(self._fill, episode, self._pictures), "pictures")
 
     def _build(self, episode: Episode, rows: list[Any]) -> None:
         gui = self._gui
@@ -310,6 +312,8 @@ class DatasetPanel:
     def _fill(self, episode: Episode, pictures: Pictures) -> None:
         try:
             for step in episode.steps(cameras=tuple(episode.cameras)):
+                if program_ends() or self._pictures is not pictures:  # another episode is shown
+                    break
                 pictures.add(step.index, {name: _scaled(image) for name, image in step.images.items()})
                 if self._pictures is pictures and step.index == self.number:
                     self._show_pictures()

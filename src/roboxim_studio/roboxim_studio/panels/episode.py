@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from roboxim_core.errors import RoboximError
+from roboxim_studio.background import program_ends, run_beside
 from roboxim_studio.episode.film import Film, ending, marks
 from roboxim_studio.episode.judgement import Judgement, judge, thresholds, with_thresholds
 from roboxim_studio.look.scene_view import SceneView
@@ -49,7 +50,7 @@ class EpisodePanel:
         self._shown_pictures: tuple[int, frozenset[str]] = (-1, frozenset())
         self.folder = self._gui.add_folder("Episode", visible=False)
         self._fresh: list[Any] = []
-        threading.Thread(target=self._play, name="player", daemon=True).start()
+        run_beside(self._play, "player")
 
     # ---------------------------------------------------------------- opening
 
@@ -245,7 +246,7 @@ class EpisodePanel:
     def _play(self) -> None:
         """Advance while playing; while not, show pictures that have come meanwhile."""
         due = time.monotonic()
-        while not self._closed.is_set():
+        while not (self._closed.is_set() or program_ends()):
             film = self.film
             if film is None or not self._playing.is_set():
                 self._playing.wait(REDRAW_S)
