@@ -119,6 +119,7 @@ class Studio:
     def close(self) -> None:
         """End everything."""
         self.episode.close()
+        self.dataset.close()
         self.files.close()
         self.drive.close()
         if self.live is not None:

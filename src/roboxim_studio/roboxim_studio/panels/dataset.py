@@ -238,6 +238,10 @@ class DatasetPanel:
         name, number = "/".join(map(str, self._place)), self.number
         return OpenEpisode(episode=name, starts=number, ends=number, last=len(self.episode) - 1)
 
+    def close(self) -> None:
+        """Read no further pictures."""
+        self._pictures = Pictures()
+
     def hide(self) -> None:
         """Leave the view to another panel."""
         self._active = False

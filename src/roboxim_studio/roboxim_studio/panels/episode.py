@@ -250,7 +250,8 @@ class EpisodePanel:
             film = self.film
             if film is None or not self._playing.is_set():
                 self._playing.wait(REDRAW_S)
-                self._late_pictures()
+                if not self._closed.is_set():
+                    self._late_pictures()
                 due = time.monotonic()
                 continue
             due += film.info.scene.tick_ns / 1e9 / float(self._speed.value.rstrip("x"))
