@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ from roboxim_datasets.episode import Episode, Floats, Step
 
 Ticks = tuple[int, ...]
 Values = npt.NDArray[np.float64]
+Numbers = npt.NDArray[np.floating[Any]]
 Flags = npt.NDArray[np.bool_]
 
 NO_TRUTH = "the dataset holds no state of the scene; name the bags that it was exported from (--bags)"
@@ -225,14 +226,15 @@ class AuditEpisode:
         return found
 
     @cached_property
-    def numbers(self) -> dict[str, Floats | Values]:
+    def numbers(self) -> dict[str, Numbers]:
         """All numbers that checks compute with: name to shape (T, size)."""
-        found: dict[str, Floats | Values] = {"action": self.actions}
+        found: dict[str, Numbers] = {"action": self.actions}
         if self.executed is not None:
             found["executed action"] = self.executed
         if self.stamps_s is not None:
             found["time"] = self.stamps_s[:, None]
-        return found | self.proprio
+        found.update(self.proprio)
+        return found
 
     @cached_property
     def finite(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
-from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Severity, Values
+from roboxim_datasets.audit.values import AuditEpisode, CannotCheckError, Finding, Numbers, Severity
 from roboxim_datasets.episode import Floats
 
 CONSTANT = 1e-8
@@ -108,7 +108,7 @@ class Statistics(AuditCheck):
 
     def __init__(self) -> None:
         """Remember the numbers."""
-        self._episodes: dict[str, list[tuple[str, Floats | Values]]] = {}
+        self._episodes: dict[str, list[tuple[str, Numbers]]] = {}
 
     def look(self, episode: AuditEpisode) -> Iterator[Finding]:
         """Find numbers that are not finite."""
@@ -143,14 +143,14 @@ class Statistics(AuditCheck):
                     yield _outlier(episode, name, values, spikes, "times the central 95 % from its neighbours")
 
 
-def _neighbours(values: Floats) -> Floats:
+def _neighbours(values: Numbers) -> Numbers:
     """Return the median of the five ticks around each one, component by component."""
     from scipy.ndimage import median_filter
 
     return np.asarray(median_filter(values, size=(5, 1), mode="nearest"))
 
 
-def _outlier(episode: str, name: str, values: Floats, measure: npt.NDArray[np.float64], what: str) -> Finding:
+def _outlier(episode: str, name: str, values: Numbers, measure: npt.NDArray[np.float64], what: str) -> Finding:
     tick, component = (int(i) for i in np.unravel_index(int(measure.argmax()), measure.shape))
     value, size = values[tick, component], measure[tick, component]
     return Finding(
