@@ -208,12 +208,14 @@ def test_the_printed_command_of_a_further_round_names_the_trainer(tmp_path):
     planted_folder(tmp_path / "run", PLANTED_RATES, text)
     state = tmp_path / "run/experiment.json"
     state.write_text(json.dumps(json.loads(state.read_text()) | {"trainer": "mine"}))
-    folder_card(ExperimentFolder.of(tmp_path / "run"))
+    card = folder_card(ExperimentFolder.of(tmp_path / "run"))
     out = tmp_path / "a round.yaml"
     words = ["experiment", "collect", str(tmp_path / "run/card.json"), "--demonstrations", "9", "--out", str(out)]
     said = CliRunner().invoke(group, words, catch_exceptions=False).output
     command = shlex.split(said.splitlines()[-1].partition(": ")[2])
     assert command == ["roboxim", "experiment", "run", str(out), "--trainer", "mine", "--out", "OUT"]
+    assert card.warnings
+    assert all(f"The card warns: {warning}" in said for warning in card.warnings)
     copy = ["experiment", "plan", str(out), "--trainer", "mine", "--no-probe", "--out", str(tmp_path / "copy.yaml")]
     assert "copy.yaml --trainer mine --out OUT" in CliRunner().invoke(group, copy, catch_exceptions=False).output
 

@@ -42,4 +42,6 @@ def collect(card: Path, demonstrations: int, condition: str, out: Path) -> None:
     for cell, count in found.success.items():
         rate = f"{count.successes} of {count.episodes}"
         click.echo(f"{cell:<{width}}  {found.chosen[cell]:>13}  {found.even[cell]:>7}  {rate}")
+    for sentence in known.warnings:  # e.g. that its failures are errors
+        click.echo(f"The card warns: {sentence}")
     click.echo(f"wrote {out}: {run_words(out, found.config, known.experiment.trainer)}")
