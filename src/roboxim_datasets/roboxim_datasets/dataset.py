@@ -21,6 +21,10 @@ from roboxim_datasets.files import file_in
 
 EXPORT_FILE = "export.json"
 """File beside every dataset with the source and the settings of its export."""
+_FACTS: Mapping[str, type] = {
+    "format": str, "how": str, "config": dict, "options": dict, "sources": list, "runs": list, "robots": list,
+    "cells": dict, "not_read": list,
+}  # fmt: skip
 SPLITS = ("train", "val", "test")
 """Splits that RoboXim writes, in this order."""
 RECORDED: Mapping[str, type[MetaValue]] = {key: kind for key, kind in METADATA.items() if key not in OWN_FIELDS}
@@ -251,11 +255,22 @@ class Dataset(ABC):
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """How the dataset was made: the content of ``export.json``; empty if there is none."""
+        """How the dataset was made: the content of ``export.json``; empty if there is none, or another tool's."""
         try:
-            return read_json_object(file_in(self.folder, EXPORT_FILE))
+            found = read_json_object(file_in(self.folder, EXPORT_FILE))
         except (ConfigError, RecorderError):
             return {}
+        return found if _are_facts(found) else {}
+
+
+def _are_facts(found: object) -> bool:
+    """Return whether a value has the form of the facts that RoboXim writes."""
+    if not isinstance(found, dict) or any(not isinstance(found.get(key, kind()), kind) for key, kind in _FACTS.items()):
+        return False
+    names = [*found.get("runs", ()), *found.get("robots", ())]
+    groups = [*found.get("cells", {}).values(), *found.get("not_read", ())]
+    texts, objects = all(isinstance(name, str) for name in names), all(isinstance(group, dict) for group in groups)
+    return texts and objects and all(map(_are_facts, found.get("sources", ())))
 
 
 class DatasetWriter(Protocol):

@@ -10,9 +10,11 @@ import pytest
 
 from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError
 from roboxim_core.vision.images import encode_image
+from roboxim_datasets.card import card, count
 from roboxim_datasets.dataset import Description, Features
 from roboxim_datasets.episode import Episode, ImageSize, Step, Wanted
 from roboxim_datasets.formats import FORMATS, open_dataset
+from roboxim_datasets.rewrite import options_like
 from roboxim_datasets.rlds import RldsEpisode, RldsFeatures, RldsWriter
 from roboxim_datasets.rlds.dataset import RldsFormat, RldsOptions
 
@@ -154,6 +156,23 @@ def test_a_dataset_of_another_tool_is_read(tmp_path: Path) -> None:
     assert dataset.features.vectors == {"state": ("state.0", "state.1", "state.2")}
     assert list(dataset.features.cameras) == ["image_0"]
     assert next(found.steps()).proprio["state"].tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        {"runs": 5}, {"runs": [1]}, {"robots": "ab", "config": {}}, {"config": [1]}, {"options": None},
+        {"sources": [3]}, {"how": "merge", "sources": [{"sources": 1}]}, {"cells": {"train": 3}},
+        {"not_read": ["x"]}, {"format": 1},
+    ],
+)  # fmt: skip
+def test_an_export_json_of_another_tool_is_none_of_ours(written: Path, facts: dict) -> None:
+    (written / "roboxim" / "1.0.0" / "export.json").write_text(json.dumps(facts))
+    dataset = open_dataset(written)
+    assert dataset.facts == {}
+    assert dataset.description.robot == "panda"
+    assert "not stated" in card(dataset, count(dataset))
+    assert options_like(dataset).encoding == "png"
 
 
 @pytest.mark.parametrize(
