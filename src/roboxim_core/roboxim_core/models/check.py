@@ -149,7 +149,7 @@ def _mesh_files(config: ObjectConfig, folder: Path) -> list[tuple[Path, float]]:
             return []
     for link in links:
         files += [(shape.mesh, shape.scale) for shape in link.collision]
-        files += [(visual.mesh, max(visual.scale)) for visual in link.visual]
+        files += [(visual.mesh, max(map(abs, visual.scale))) for visual in link.visual]
     return list(dict.fromkeys(((folder / name).resolve(), scale) for name, scale in files if name))
 
 

@@ -19,6 +19,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.models.surfaces import paint
 from roboxim_core.poses import Array
 from roboxim_core.user_folders import cache_dir
 
@@ -59,6 +60,7 @@ def load_scene(path: Path | str, *, merge: bool = False) -> trimesh.Scene:
     for part in scene.geometry.values():
         if isinstance(part, trimesh.Trimesh):
             _check(part, path)
+            paint(part)
     return scene
 
 

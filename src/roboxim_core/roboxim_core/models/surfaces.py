@@ -46,7 +46,7 @@ def visual_parts_of(mesh: trimesh.Trimesh, name: str, *, linear: bool) -> list[V
     uv: Any = getattr(mesh.visual, "uv", None)
     uv = None if uv is None else np.asarray(uv)
     vertices, normals, faces = mesh.vertices, mesh.vertex_normals, mesh.faces
-    colors = _face_colors(mesh, material, linear=linear)
+    colors = _face_colors(mesh, linear=linear)
     if colors is None:
         return [VisualPart(mesh=triangles(vertices, normals, faces, uv), material=material)]
     parts = []
@@ -90,6 +90,23 @@ def material_of(mesh: trimesh.Trimesh, name: str, *, linear: bool) -> MaterialSp
     return MaterialSpec()
 
 
+def paint(mesh: trimesh.Trimesh) -> None:
+    """Make colours of glTF vertices beside a material, which trimesh drops in copies, the mesh's colours.
+
+    They multiply the material's colour. Beside an image they stay out of account.
+    """
+    from trimesh.visual import ColorVisuals
+
+    visual: Any = mesh.visual
+    colors = getattr(visual, "vertex_attributes", {}).get("color")
+    if colors is None or base_color_image(mesh) is not None:
+        return
+    most = np.iinfo(colors.dtype).max if colors.dtype.kind in "iu" else 1.0
+    factor = visual.material.baseColorFactor
+    shares = colors[:, :3] / most * (1.0 if factor is None else factor[:3] / 255)
+    mesh.visual = ColorVisuals(mesh, vertex_colors=np.rint(255 * np.clip(shares, 0.0, 1.0)).astype(np.uint8))
+
+
 def rewrite(scene: Any, source: Path, target: Path) -> None:
     """Give a scene's colours the meaning that they have in the format of another file.
 
@@ -125,19 +142,14 @@ def _encoded(colors: npt.ArrayLike, linear: bool) -> npt.NDArray[np.uint8]:
     return np.asarray(np.rint(255 * (to_linear(values) if linear else to_srgb(values))), dtype=np.uint8)
 
 
-def _face_colors(mesh: trimesh.Trimesh, material: MaterialSpec, *, linear: bool) -> npt.NDArray[np.uint8] | None:
+def _face_colors(mesh: trimesh.Trimesh, *, linear: bool) -> npt.NDArray[np.uint8] | None:
     """Return the sRGB colour of each face, 0..255, shape (N, 3), of at most `MOST_COLORS`; None: all have one."""
     from PIL import Image
 
     visual: Any = mesh.visual
-    if visual.kind in ("vertex", "face"):
-        colors = visual.face_colors[:, :3] / 255
-    else:  # of glTF, beside a material, whose colour they multiply
-        at_vertices = getattr(visual, "vertex_attributes", {}).get("color")
-        if at_vertices is None:
-            return None
-        most = np.iinfo(at_vertices.dtype).max if at_vertices.dtype.kind in "iu" else 1.0
-        colors = (at_vertices[:, :3] / most)[mesh.faces].mean(axis=1) * to_linear(material.color)
+    if visual.kind not in ("vertex", "face"):
+        return None
+    colors = visual.face_colors[:, :3] / 255
     colors = np.asarray(np.rint(255 * (to_srgb(colors) if linear else colors)), dtype=np.uint8)
     if len(np.unique(colors, axis=0)) > MOST_COLORS:
         few = Image.fromarray(colors[None]).quantize(MOST_COLORS, dither=Image.Dither.NONE)

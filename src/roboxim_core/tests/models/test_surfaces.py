@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import trimesh
 from PIL import Image
 from trimesh.visual.material import PBRMaterial
 
+from roboxim_core.models.check import check_object
 from roboxim_core.models.description import Visual
 from roboxim_core.models.hulls import hull_file, load_mesh
 from roboxim_core.models.modifiers import PALETTE
@@ -112,3 +114,33 @@ def test_the_unit_of_a_collada_file_counts(tmp_path):
     (part,) = parts_of(tmp_path / "inch.dae")
     assert np.ptp(part.mesh.vertices, axis=0) == pytest.approx([0.00254, 0.00508, 0.00762])
     assert trimesh.load_mesh(hull_file(str(tmp_path / "inch.dae"))).extents.max() == pytest.approx(0.00762)
+
+
+def test_colours_at_vertices_beside_a_material_multiply_it(tmp_path):
+    """As Blender writes them, with 16 bits."""
+    mesh = trimesh.creation.box((0.1, 0.1, 0.1))
+    mesh.visual.vertex_colors = np.tile([0, 255, 0, 255], (8, 1)).astype(np.uint8)
+    files = mesh.export(file_type="gltf")
+    content = json.loads(files["model.gltf"])
+    (primitive,) = content["meshes"][0]["primitives"]
+    primitive["material"] = 0
+    color = content["accessors"][primitive["attributes"]["COLOR_0"]]
+    color["componentType"] = 5123
+    view = content["bufferViews"][color["bufferView"]]
+    name = content["buffers"][view["buffer"]]["uri"]
+    files[name] = np.tile([0, 65535, 0, 65535], (8, 1)).astype("<u2").tobytes()
+    view["byteLength"] = content["buffers"][view["buffer"]]["byteLength"] = len(files[name])
+    content["materials"] = [{"pbrMetallicRoughness": {"baseColorFactor": [1.0, 0.5, 1.0, 1.0]}}]
+    files["model.gltf"] = json.dumps(content).encode()
+    for file, data in files.items():
+        (tmp_path / file).write_bytes(data)
+    (part,) = parts_of(tmp_path / "model.gltf")
+    assert part.material.color == pytest.approx((0.0, 0.736, 0.0), abs=0.01)
+
+
+def test_the_size_of_a_mirrored_mesh_is_checked_as_that_of_any(tmp_path):
+    box().export(tmp_path / "a.stl")
+    shape = "{kind: box, size: [0.1, 0.2, 0.3]}"
+    visual = "{kind: mesh, mesh: a.stl, scale: [-1, -1, -1]}"
+    (tmp_path / "it.yaml").write_text(f"name: it\nlinks: [{{mass: 2.0, collision: [{shape}], visual: [{visual}]}}]\n")
+    assert [finding.message for finding in check_object(tmp_path / "it.yaml")[0] if finding.severity == "error"] == []
