@@ -18,7 +18,11 @@ from click.shell_completion import CompletionItem
 
 from roboxim_cli import strict
 
-DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR}
+DISK_ERRORS = {
+    errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EEXIST, errno.ENOENT,
+    errno.ELOOP, errno.EIO,
+}  # fmt: skip
+"""Errors of the system that a user can cause or mend, by a path or by the disk: they are said in one line."""
 FOLDERS = ("commands", "ros")
 """Folders with a file for each subcommand, at any depth."""
 SECTIONS = {

@@ -159,6 +159,21 @@ def test_a_file_is_written_into_a_folder_that_is_made_and_never_over_a_folder(tm
     assert f"error: {tmp_path} is a folder; expected the name of a file" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("place", ["file/schema.json", "file/new/schema.json", "/proc/new/schema.json"])
+def test_a_place_below_which_nothing_can_be_is_an_error_in_one_line(place, tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["roboxim", "schema", "task", "--out", place])
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert said.count("\n") == 1
+    assert "check the folder" in said
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
