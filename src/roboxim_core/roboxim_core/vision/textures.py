@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,7 +59,9 @@ def pixels(name: str) -> Pixels:
 
 
 def _image(name: str) -> Image.Image:
-    path, _, geometry = name.partition("#")
+    cuts = [place for place, letter in enumerate(name) if letter == "#"]  # a folder's name may have one, too
+    cut = next((place for place in cuts if Path(name[:place]).is_file()), len(name))
+    path, geometry = name[:cut], name[cut + 1 :]
     import trimesh  # imported here: it costs 0.5 s and 20 MiB, and procedural textures do not need it
     from PIL import Image
 

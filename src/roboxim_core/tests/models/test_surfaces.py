@@ -21,6 +21,7 @@ from roboxim_core.models.surfaces import MOST_COLORS
 from roboxim_core.models.visuals import robot_parts, visual_parts
 from roboxim_core.vision.renderer import VisualPart
 from roboxim_core.vision.srgb import to_linear
+from roboxim_core.vision.textures import pixels
 
 
 def box(**material: Any) -> trimesh.Trimesh:
@@ -144,3 +145,11 @@ def test_the_size_of_a_mirrored_mesh_is_checked_as_that_of_any(tmp_path):
     visual = "{kind: mesh, mesh: a.stl, scale: [-1, -1, -1]}"
     (tmp_path / "it.yaml").write_text(f"name: it\nlinks: [{{mass: 2.0, collision: [{shape}], visual: [{visual}]}}]\n")
     assert [finding.message for finding in check_object(tmp_path / "it.yaml")[0] if finding.severity == "error"] == []
+
+
+def test_an_image_in_a_folder_of_any_name_is_found(tmp_path):
+    folder = tmp_path / "C# ä"
+    folder.mkdir()
+    box(baseColorTexture=Image.new("RGB", (4, 4), (255, 0, 0))).export(folder / "a b.glb")
+    (part,) = parts_of(folder / "a b.glb")
+    assert (pixels(part.material.texture) == [255, 0, 0]).all()
