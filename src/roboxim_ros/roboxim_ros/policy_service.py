@@ -79,6 +79,7 @@ def encode_window(window: ObservationWindow) -> Act.Request:
         instruction=window.instruction,
         observations=[done[id(observation)] for observation in window.observations],
         pad_mask=list(window.pad_mask),
+        commanded_opening=[] if window.commanded_opening is None else [window.commanded_opening],
     )
 
 
@@ -99,6 +100,7 @@ def decode_window(request: Any, *, privileged: bool) -> ObservationWindow:
         pad_mask=tuple(bool(real) for real in request.pad_mask),
         episode_id=request.episode_id,
         seq=int(request.seq),
+        commanded_opening=next(iter(request.commanded_opening), None),
     )
 
 

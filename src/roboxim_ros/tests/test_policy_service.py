@@ -1,5 +1,7 @@
 """Values survive the policy boundary unchanged; the client also refuses invalid answers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,6 +59,12 @@ def test_a_window_comes_out_as_it_went_in():
         assert np.array_equal(a.images["wrist"], b.images["wrist"])
         assert not a.images["wrist"].flags.writeable
     assert decode_window(request, privileged=False).observations[0].state is None
+
+
+@pytest.mark.parametrize("opening", [None, 0.0, 0.3])
+def test_the_command_that_was_executed_comes_out_as_it_went_in(opening):
+    request = encode_window(replace(window(), commanded_opening=opening))
+    assert decode_window(request, privileged=False).commanded_opening == opening
 
 
 def test_a_start_comes_out_as_it_went_in():
