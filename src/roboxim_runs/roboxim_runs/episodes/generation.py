@@ -62,7 +62,7 @@ class GenerationConfig(EpisodesConfig):
         Raises:
             ConfigError: When the task or a number is wrong.
         """
-        from roboxim_runs.episodes.definitions import definitions_of, task_files
+        from roboxim_runs.scenes.definitions import definitions_of, task_files
 
         text = self.task_text()
         config = self.run_config(

@@ -34,9 +34,9 @@ from roboxim_recorder.bag import BagReader, find_episode
 from roboxim_recorder.recording import EpisodeRecording
 from roboxim_recorder.run_bags import list_bags
 from roboxim_ros.messages.conversions import from_msg, to_msg
-from roboxim_runs.episodes.definitions import SURFACES, picture_of, pictures_of
 from roboxim_runs.events import OnEvent, Reporter, ReportProgress, ignore
 from roboxim_runs.executors import Cancellation, Executor, Job, Note, Work, run_required
+from roboxim_runs.scenes.definitions import SURFACES, picture_of, pictures_of
 from roboxim_runs.storage.folder import RunFolder, checked_path
 from roboxim_runs.storage.store import file_sha256
 from roboxim_sim.rendering import make_renderer

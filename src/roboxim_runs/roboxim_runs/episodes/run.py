@@ -50,7 +50,7 @@ class EpisodesJob:
     policy_files: Mapping[str, str] = field(default_factory=dict)
     """Files that define the policies, each with its content's hash; see `roboxim_policies.identity`."""
     definitions: Mapping[str, str] = field(default_factory=dict)
-    """Files that the task names, each with its content's hash; see `roboxim_runs.episodes.definitions`."""
+    """Files that the task names, each with its content's hash; see `roboxim_runs.scenes.definitions`."""
     server: Mapping[str, Any] = field(default_factory=dict)
     """What identifies the server of a remote policy; see `roboxim_runs.policies.server_records`."""
     store: str = ""

@@ -127,7 +127,7 @@ def evaluate(
         RoboximError: When a graph has a fault that a new worker does not recover from.
         UnavailableError: When a policy's server stays away.
     """
-    from roboxim_runs.episodes.definitions import definitions_of, task_files
+    from roboxim_runs.scenes.definitions import definitions_of, task_files
 
     named = config.policies
     chosen = find_policies(named if isinstance(named, Sequence) and not isinstance(named, str) else [named])

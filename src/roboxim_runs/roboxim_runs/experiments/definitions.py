@@ -8,9 +8,9 @@ from typing import Any
 
 from roboxim_eval.experiments import Design, mix_of
 from roboxim_eval.experiments.config import TASK
-from roboxim_runs.episodes.definitions import definitions_of
 from roboxim_runs.experiments.card import evaluation_folder
 from roboxim_runs.policies.specs import PolicySpec, find_policies
+from roboxim_runs.scenes.definitions import definitions_of
 from roboxim_runs.storage.folder import RunFolder
 from roboxim_tasks.config import task_mix
 from roboxim_tasks.task_config import TaskConfig

@@ -9,10 +9,10 @@ from roboxim_core.config import to_plain
 from roboxim_core.config_folders import config_dir
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
-from roboxim_runs.episodes.definitions import definitions_of, task_files
 from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.episodes.task_choice import cells_of, task_text
 from roboxim_runs.executors import Done
+from roboxim_runs.scenes.definitions import definitions_of, task_files
 
 MIX = """
 cells: [{tasks: [mine], models: {target: [mug2]}}]
