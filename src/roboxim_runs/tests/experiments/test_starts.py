@@ -45,6 +45,9 @@ def test_a_start_is_found_in_the_arguments_of_own_trainers_alone(design):
     assert str(start_of(design, '--set a=1 --from "my runs/broad.npz"')) == "my runs/broad.npz"
     assert str(start_of(design, "--from=broad.npz")) == "broad.npz"
     assert start_of(design, "--set feature_dropout=1") is None
+    for wrong in ("--from", '--from "broad.npz'):
+        with pytest.raises(ConfigError, match="arguments of a training"):
+            start_of(design, wrong)
     other = replace(design, trainer=replace(design.trainer, command="sh train.sh {dataset} {out} {seed}"))
     assert start_of(other, "--from broad.npz") is None
 

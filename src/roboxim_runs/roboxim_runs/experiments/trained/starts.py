@@ -31,12 +31,18 @@ def start_of(design: Design, arguments: str) -> Path | None:
     Args:
         design: The experiment.
         arguments: What its condition adds to the trainer's command.
+
+    Raises:
+        ConfigError: When ``--from`` names none.
     """
     if not design.trainer.is_own:
         return None
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument(FROM, dest="start")
-    found = parser.parse_known_args(shlex.split(f"{design.trainer.command} {arguments}"))[0].start
+    try:
+        found = parser.parse_known_args(shlex.split(f"{design.trainer.command} {arguments}"))[0].start
+    except (argparse.ArgumentError, ValueError) as error:
+        raise ConfigError(f"arguments of a training: {error} in '{arguments}'") from None
     return Path(found) if found else None
 
 
