@@ -26,6 +26,8 @@ from roboxim_runs.training.run import TRAINED_ON, TrainingResult, train_policy
 
 Handled = TypeVar("Handled")
 
+TARGET = "target"
+"""What pairs name; earlier versions counted the first role, e.g. the plate, and did not state it."""
 SUITE = "pretrain"
 """Suite of ``config/suites`` that is demonstrated."""
 
@@ -164,7 +166,7 @@ def exposure_of(infos: Iterable[EpisodeInfo]) -> dict[str, Any]:
         )
         counts["robots"][scene.robot.model] += 1
     found: dict[str, Any] = {kind: dict(sorted(counter.items())) for kind, counter in counts.items()}
-    return {"episodes": episodes, **found, "instructions": len(instructions)}
+    return {"episodes": episodes, **found, "pairs_of": TARGET, "instructions": len(instructions)}
 
 
 def handled_in(objects: Mapping[str, Handled]) -> tuple[Handled, ...]:
@@ -173,4 +175,4 @@ def handled_in(objects: Mapping[str, Handled]) -> tuple[Handled, ...]:
     Args:
         objects: Role to object.
     """
-    return (objects["target"],) if "target" in objects else tuple(objects.values())
+    return (objects[TARGET],) if TARGET in objects else tuple(objects.values())

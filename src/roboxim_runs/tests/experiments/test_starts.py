@@ -14,7 +14,7 @@ from roboxim_runs.experiments.files import checked_design, load_experiment
 from roboxim_runs.experiments.trained.starts import require_start, start_digests, start_of, with_start
 
 OLD = Attestation(pretraining="octo", exposure="yes", recipe={"command": "roboxim train act"})
-BROAD = {"skills": {"pick_up": 9}, "objects": {"cube": 9}, "pairs": {"pick_up cube": 9}}
+BROAD = {"skills": {"pick_up": 9}, "objects": {"cube": 9}, "pairs": {"pick_up cube": 9}, "pairs_of": "target"}
 
 
 @pytest.fixture(scope="module")
@@ -94,3 +94,7 @@ def test_the_same_pair_with_another_camera_may_be_another_cell(tmp_path):
     pairs = {f"pick_up {model}": 1 for model in design.config.factors["target"]}
     assert stated(design, started(tmp_path, pairs))[1] == "unknown"
     assert stated(design, started(tmp_path, {"place_on cube": 1}))[1] == "no"
+
+
+def test_counts_of_an_earlier_version_say_nothing(design, tmp_path):
+    assert stated(design, started(tmp_path, pairs_of=""))[1] == "unknown", "they named the plate of place_on"

@@ -18,7 +18,7 @@ from roboxim_eval.experiments import Design, mix_of
 from roboxim_eval.experiments.card import Attestation
 from roboxim_eval.experiments.config import TASK
 from roboxim_policies.learning.checkpoint_file import checkpoint_file, read_description
-from roboxim_runs.training.pretraining import handled_in
+from roboxim_runs.training.pretraining import TARGET, handled_in
 from roboxim_tasks.config import task_mix
 
 FROM = "--from"
@@ -113,7 +113,7 @@ def _exposure(design: Design, content: Mapping[str, Any]) -> str:
     unseen = {cell.key: 1 for cell in design.cells if cell.unseen}
     if not unseen:
         return "no"
-    if not content:
+    if content.get("pairs_of") != TARGET:  # unknown content, or counts of an earlier version
         return "unknown"
     tasks = task_mix(mix_of(design.config, unseen)).cells
     held_out = {
