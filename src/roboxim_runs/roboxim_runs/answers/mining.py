@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,9 +11,11 @@ from typing import Any
 
 import yaml
 
-from roboxim_core.config import parse_yaml
+from roboxim_core.config import digest, parse_yaml, to_plain
 from roboxim_core.episode import ActorPort, RunConfig
 from roboxim_core.errors import ConfigError, ErrorCode, RoboximError, one_of
+from roboxim_core.plain_data.differences import differences
+from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_core.plain_data.yaml_text import plain
 from roboxim_core.poses import Array
 from roboxim_core.seeds import SeedPath
@@ -32,6 +35,10 @@ EDGES = {
     "reset.objects.area.1": ("right edge of its area", "left edge of its area"),
 }
 """What lies at the ends of a range, seen from the robot."""
+ROLLOUTS = "rollouts.jsonl"
+"""File of a search's folder with the outcome of each point."""
+SUCCESS, FAILURE, UNSOLVED, INFEASIBLE = "success", "failure", "unsolved", "infeasible"
+"""What becomes of a point; the last two are neither: the expert failed too, or there is no scene."""
 WIDTH = 1e-6
 """Part of its range that a factor keeps at a point: a range must not be empty."""
 
@@ -147,16 +154,18 @@ def mine(
         bench: Cores to run episodes with.
         actor: The policy.
         config: What is searched.
-        out: Folder for bags of two failed scenes of each region; none: no bags.
+        out: Folder for the outcome of each point, written at once, and for bags of two failed scenes of each region;
+            the same search in the same folder continues. None: neither.
         on_rollout: Called with the number of each rollout and whether it failed; None: no scene, or unsolvable.
 
     Raises:
-        ConfigError: When the task has no factors.
+        ConfigError: When the task has no factors, or the folder is of another search.
         PolicyError: When the policy raises.
         RoboximError: On a fault of the simulator.
     """
     factors = factors_of(config.task_config, config.factors)
-    points = _Points(bench, actor, config, factors, on_rollout)
+    log = None if out is None else _Log(out, config, actor)
+    points = _Points(bench, actor, config, factors, on_rollout, log)
     regions = search(points.oracle, [factor for factor, _, _ in factors.values()], config.search)
     bags = {r.words: points.recorded(r, out) for r in regions if r.confirmed} if out is not None else {}
     return Mined(
@@ -165,13 +174,43 @@ def mine(
     )  # fmt: skip
 
 
+class _Log:
+    """Outcomes of the points in a search's folder. The points follow from the outcomes, so the search can continue."""
+
+    def __init__(self, folder: Path, config: MineConfig, actor: ActorPort) -> None:
+        policy = actor.describe()
+        search = {"config": to_plain(config), "policy": policy.name, "version": policy.version}
+        self._key = digest(search)
+        folder.mkdir(parents=True, exist_ok=True)
+        self._log = ResultsLog(folder / ROLLOUTS)
+        self._known: dict[str, str] = {}
+        for entry in self._log.read():
+            if entry.key != self._key:
+                raise ConfigError(
+                    f"{self._log.path} is of another search or policy "
+                    f"({differences(entry.data.get('search', {}), search)}); choose another folder"
+                )
+            self._known |= {entry.data["point"]: entry.data["outcome"]} if "point" in entry.data else {}
+        if not self._log.path.exists():
+            self._log.append(self._key, {"search": search})
+
+    def outcome(self, number: int, point: list[float], found: Callable[[], str]) -> str:
+        """Return what became of a point: by the file, or else by the function, and then it is in the file."""
+        name = json.dumps([number, *point])
+        if name not in self._known:
+            self._known[name] = found()
+            self._log.append(self._key, {"point": name, "outcome": self._known[name]})
+        return self._known[name]
+
+
 class _Points:
     def __init__(
         self, bench: TryBench, actor: ActorPort, config: MineConfig,
         factors: dict[str, tuple[Factor, Place, int | None]], on_rollout: Callable[[int, bool | None], None],
+        log: _Log | None,
     ) -> None:  # fmt: skip
         self._bench, self._actor, self._config, self._factors = bench, actor, config, factors
-        self._on_rollout = on_rollout
+        self._on_rollout, self._log = on_rollout, log
         self._data = parse_yaml(config.task_config)
         self._failed: list[tuple[Array, SeedPath, str]] = []
         self.rollouts = self.unsolved = self.infeasible = 0
@@ -183,27 +222,31 @@ class _Points:
         number = self.rollouts + self.infeasible
         seed = SeedPath(run_seed=self._config.search.seed, purpose="eval", index=number)
         text = yaml.safe_dump(plain(at_point(self._data, self._factors, point.tolist())))
-        failed = self._outcome(seed, text)
-        if failed:
+
+        def played() -> str:
+            return self._outcome(seed, text)
+
+        outcome = played() if self._log is None else self._log.outcome(number, point.tolist(), played)
+        self.infeasible += outcome == INFEASIBLE
+        self.rollouts += outcome != INFEASIBLE
+        self.unsolved += outcome == UNSOLVED
+        if outcome == FAILURE:
             self._failed.append((point, seed, text))
+        failed = {FAILURE: True, SUCCESS: False}.get(outcome)
         self._on_rollout(number, failed)
         return failed
 
-    def _outcome(self, seed: SeedPath, text: str) -> bool | None:
+    def _outcome(self, seed: SeedPath, text: str) -> str:
         try:
             draw = self._bench.graph.tasks.draw(seed, text)
         except RoboximError as error:
             if error.code != ErrorCode.RESET_INFEASIBLE:
                 raise
-            self.infeasible += 1
-            return None
-        self.rollouts += 1
+            return INFEASIBLE
         if self._bench.run(draw, self._actor, seed, config=self._config.run).success:
-            return False
-        if self._bench.run(draw, self._bench.expert, seed, config=self._config.run).success:
-            return True
-        self.unsolved += 1
-        return None
+            return SUCCESS
+        solved = self._bench.run(draw, self._bench.expert, seed, config=self._config.run).success
+        return FAILURE if solved else UNSOLVED
 
     def recorded(self, region: Region, out: Path) -> list[str]:
         """Run up to two failed scenes of a region again, and record them."""

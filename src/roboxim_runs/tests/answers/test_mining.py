@@ -9,7 +9,7 @@ from planted_causes import FailsWhere
 from roboxim_bringup.core_graph import CoreActor
 from roboxim_core.config import parse_yaml
 from roboxim_core.episode import RunConfig
-from roboxim_core.errors import ConfigError, SimError
+from roboxim_core.errors import ConfigError, PolicyError, SimError
 from roboxim_eval.answers.regions import SearchConfig
 from roboxim_runs.answers.mining import MineConfig, at_point, factors_of, mine
 from roboxim_runs.answers.trying import TryBench
@@ -51,3 +51,40 @@ def test_a_planted_region_is_found_and_its_scenes_are_solved_by_the_expert(tmp_p
     bags = found.bags[region.words]
     assert bags
     assert all((tmp_path / bag).exists() for bag in bags)
+
+
+class _Counting(FailsWhere):
+    """Counts the episodes that it plays; raises in one of them."""
+
+    def __init__(self, *, raises_in: int = 0) -> None:
+        super().__init__(conditions=[])
+        self.played, self._raises_in = 0, raises_in
+
+    def reset(self, start):
+        super().reset(start)
+        self.played += 1
+        if self.played == self._raises_in:
+            raise RuntimeError("out of memory")
+
+
+def test_a_search_that_was_stopped_continues_without_playing_again(tmp_path):
+    def config(seed):
+        return MineConfig(
+            task_config=task_text("pick_cube"), factors=("reset.objects.area",),
+            search=SearchConfig(first=6, rounds=0, seed=seed), run=RunConfig(image_width=32, image_height=32, max_steps=2),
+        )  # fmt: skip
+
+    try:
+        bench = TryBench()
+    except SimError as error:
+        pytest.skip(str(error))
+    with bench:
+        whole = mine(bench, CoreActor(_Counting()), config(3))
+        with pytest.raises(PolicyError, match="out of memory"):
+            mine(bench, CoreActor(_Counting(raises_in=4)), config(3), out=tmp_path)
+        rest = _Counting()
+        assert mine(bench, CoreActor(rest), config(3), out=tmp_path) == whole
+        assert rest.played == whole.rollouts - 3
+        assert whole.unsolved == whole.rollouts == 6  # two ticks suffice neither the policy nor the expert
+        with pytest.raises(ConfigError, match=r"another search or policy \(config.search.seed: 3 stored, 4 requested\)"):
+            mine(bench, CoreActor(rest), config(4), out=tmp_path)

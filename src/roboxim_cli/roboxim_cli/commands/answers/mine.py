@@ -29,7 +29,7 @@ from roboxim_cli.options import option
 )
 @option("seed")
 @option("size", help="Image size of cameras for which the policy states none.")
-@option("out", help="Folder for bags of failed scenes, two of each region; default: none.")
+@option("out", help="Folder for the outcomes so far and for bags of failed scenes, two of each region; default: none.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(
     policy: str, checkpoints: tuple[str, ...], policy_options: tuple[str, ...], task: str, factors: tuple[str, ...],
@@ -42,7 +42,7 @@ def command(
     roboxim mine bc --checkpoint runs/bc --task pick_cube_randomised --factor reset.objects.area --out runs/mined
 
     Each range {lower, upper} of the task is a factor. A failure counts only if the expert solves the scene. A region
-    counts only if fresh scenes confirm it.
+    counts only if fresh scenes confirm it. With --out, the same command continues a search that was stopped.
     """
     import dataclasses
     import json
