@@ -25,6 +25,7 @@ from roboxim_runs.episodes.task_choice import cells_of
 from roboxim_runs.episodes_config import EpisodesConfig
 from roboxim_runs.evaluation.checks import (
     require_cameras,
+    require_evaluation,
     require_local,
     require_played,
     require_robots,
@@ -148,6 +149,7 @@ def evaluate(
         policy.name: replace(_job(config, policy, text, _server(config, policy, on_event)), definitions=definitions)
         for policy in chosen
     }
+    require_evaluation(out, jobs)
     for policy in chosen:
         require_same_policy(policy.name, jobs[policy.name], out / policy.name, repair=config.repair)
         jobs[policy.name].upload.require_own(jobs[policy.name].identity, repair=config.repair)
