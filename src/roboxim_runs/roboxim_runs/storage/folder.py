@@ -15,6 +15,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mcap.writer import MCAP0_MAGIC
+
 from roboxim_core.config import digest, from_plain, to_plain
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, RoboximError
 from roboxim_core.plain_data.differences import differences
@@ -224,12 +226,12 @@ class RunFolder:
             raise ConfigError(f"{error}; {REMEDY}") from None
 
     def without_bag(self, results: Iterable[EpisodeResult]) -> list[EpisodeResult]:
-        """Return the results whose bag is neither in the folder nor in a store."""
+        """Return the results whose bag is neither in a store nor whole in the folder: gone, or cut short."""
         stored = stored_bags(self.path)
         return [
             result
             for result in results
-            if result.bag and result.bag not in stored and not any((self.path / result.bag).glob("*.mcap"))
+            if result.bag and result.bag not in stored and not _whole_bag(self.path / result.bag)
         ]
 
     def discard(self, indices: Iterable[int]) -> None:
@@ -295,8 +297,19 @@ def wanted_indices(config: Mapping[str, Any]) -> range:
     return Shard.parse(config.get("shard", "")).indices(int(config.get("episodes", 0)))
 
 
+def _whole_bag(bag: Path) -> bool:
+    """Return whether a bag is there and none of its files is cut short: it would lack the format's last bytes."""
+    files = list(bag.glob("*.mcap"))
+    for path in files:
+        with path.open("rb") as file:
+            file.seek(max(0, path.stat().st_size - len(MCAP0_MAGIC)))
+            if file.read() != MCAP0_MAGIC:
+                return False
+    return bool(files)
+
+
 def require_bags(folder: RunFolder, results: Iterable[EpisodeResult]) -> None:
-    """Refuse to continue a run whose bags have vanished.
+    """Refuse to continue a run whose bags have vanished or were cut short.
 
     Raises:
         RecorderError: ``BAG_DAMAGED``, naming them and what to do.
@@ -306,7 +319,7 @@ def require_bags(folder: RunFolder, results: Iterable[EpisodeResult]) -> None:
         names = ", ".join(result.bag for result in lost[:3]) + (f" and {len(lost) - 3} more" if len(lost) > 3 else "")
         raise RecorderError(
             f"{len(lost)} bag{'s' * (len(lost) != 1)} that {folder.log.path} names {'are' if len(lost) > 1 else 'is'} "
-            f"gone: {names}; put them back, or run again with --repair or repair=True, which repeats "
+            f"gone or cut short: {names}; put them back, or run again with --repair or repair=True, which repeats "
             "these episodes",
             ErrorCode.BAG_DAMAGED,
         )

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from mcap.writer import MCAP0_MAGIC
 
 from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig
@@ -232,19 +233,21 @@ def test_a_vanished_bag_is_named_and_its_episode_run_again(tmp_path):
     def recorded(job):
         bag = f"episodes/demo-0-{job.data:05d}-0"
         (tmp_path / "run" / bag).mkdir(parents=True)
-        (tmp_path / "run" / bag / "x_0.mcap").touch()
+        (tmp_path / "run" / bag / "x_0.mcap").write_bytes(b"recording" + MCAP0_MAGIC)
         return done(job, bag=bag)
 
-    job = job_in(tmp_path / "run")
+    job = job_in(tmp_path / "run", 4)
     run_episodes(job, "", {}, executor=Executor(recorded))
-    shutil.rmtree(tmp_path / "run" / "episodes" / "demo-0-00001-0")
-    (tmp_path / "run" / "episodes" / "demo-0-00002-0" / "x_0.mcap").unlink()  # its folder alone is no bag
-    with pytest.raises(RecorderError, match=r"2 bags .* are gone: episodes/demo-0-00001-0, .*--repair"):
+    bags = tmp_path / "run" / "episodes"
+    shutil.rmtree(bags / "demo-0-00001-0")
+    (bags / "demo-0-00002-0" / "x_0.mcap").unlink()  # its folder alone is no bag
+    (bags / "demo-0-00003-0" / "x_0.mcap").write_bytes(b"recor")  # the disk was full
+    with pytest.raises(RecorderError, match=r"3 bags .* gone or cut short: episodes/demo-0-00001-0, .*--repair"):
         run_episodes(job, "", {}, executor=Executor(recorded))
     executor = Executor(recorded)
     results = run_episodes(job, "", {}, executor=executor, repair=True)
-    assert executor.asked == [[1, 2]]
-    assert [r.index for r in results] == [0, 1, 2]
+    assert executor.asked == [[1, 2, 3]]
+    assert [r.index for r in results] == [0, 1, 2, 3]
     run_episodes(job, "", {}, executor=executor)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from mcap.writer import MCAP0_MAGIC
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
@@ -31,7 +32,7 @@ def shard(path: Path, number: int) -> Path:
         for index in Shard.parse(f"{number}/2").indices(6):
             bag = f"episodes/eval-0-{index:05d}-0"
             (folder.path / bag).mkdir(parents=True)
-            (folder.path / bag / "x_0.mcap").write_text(bag)
+            (folder.path / bag / "x_0.mcap").write_bytes(bag.encode() + MCAP0_MAGIC)
             folder.append(EpisodeResult(episode_id=Path(bag).name, index=index, outcome="success", bag=bag))
     return path
 

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 
 import pytest
+from mcap.writer import MCAP0_MAGIC
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RecorderError
@@ -31,7 +32,7 @@ def write(path, shard, config=CONFIG, **changes):
             one = replace(result(index, attempt=index % 2), **changes)
             for bag in (one.bag, f"set_apart/eval-0-{index:05d}-0" if index % 2 else one.bag):
                 (folder.path / bag).mkdir(parents=True, exist_ok=True)
-                (folder.path / bag / "x_0.mcap").write_text(f"{bag} {changes}")
+                (folder.path / bag / "x_0.mcap").write_bytes(f"{bag} {changes}".encode() + MCAP0_MAGIC)
             folder.append(one)
     return path
 
@@ -43,7 +44,7 @@ def shards(tmp_path):
 
 def files(folder):
     return {
-        str(path.relative_to(folder)): path.read_text()
+        str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
         if path.is_file() and not path.name.startswith(".")
     }
@@ -76,7 +77,7 @@ def test_merged_shards_are_the_folder_of_one_run(shards, tmp_path):
 def test_an_episode_that_two_folders_have_is_taken_once(shards, tmp_path):
     again = write(tmp_path / "again", "1/3", wall_s=99.0, inference_s=3.0)
     for bag in (again / "episodes").iterdir():
-        (bag / "x_0.mcap").write_text(f"episodes/{bag.name} {{}}")
+        (bag / "x_0.mcap").write_bytes(f"episodes/{bag.name} {{}}".encode() + MCAP0_MAGIC)
     [merged] = merge_shards(tmp_path / "out", [*shards, again])
     assert (merged.episodes, merged.doubles) == (7, 3)
     assert len((tmp_path / "out" / RESULTS_FILE).read_text().splitlines()) == 7
@@ -86,7 +87,7 @@ def test_an_episode_that_two_folders_have_is_taken_once(shards, tmp_path):
 def test_two_different_recordings_of_an_episode_are_refused(shards, tmp_path, difference):
     other = write(tmp_path / "other", "2/3", **({"outcome": "failure"} if difference == "outcome" else {}))
     if difference == "bag":
-        next((other / "episodes").iterdir()).joinpath("x_0.mcap").write_text("other")
+        next((other / "episodes").iterdir()).joinpath("x_0.mcap").write_bytes(b"other" + MCAP0_MAGIC)
     with pytest.raises(RecorderError, match=r"shard-2 and .*other have different recordings of episode eval-0-0000"):
         merge_shards(tmp_path / "out", [*shards, other])
     assert not (tmp_path / "out").exists()
@@ -122,10 +123,10 @@ def test_a_bag_without_a_result_is_replaced_by_the_shard_s(shards, tmp_path):
     merge_shards(tmp_path / "out", shards[::2], partial=True)
     left = tmp_path / "out" / "episodes" / "eval-0-00001-1"  # a run was killed between the bag and its line
     left.mkdir()
-    (left / "x_0.mcap").write_text("another recording")
+    (left / "x_0.mcap").write_bytes(b"another recording" + MCAP0_MAGIC)
     merge_shards(tmp_path / "out", [shards[1]])
     assert files(tmp_path / "out") == files(write(tmp_path / "whole", "1/1")) | {
-        "run.json": (tmp_path / "out" / "run.json").read_text()
+        "run.json": (tmp_path / "out" / "run.json").read_bytes()
     }
 
 

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from mcap.writer import MCAP0_MAGIC
 
 from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeResult, RunConfig
@@ -72,7 +73,7 @@ def write_run(path, url, indices, shard=""):
         for index in indices:
             bag = path / "made" / result(index).bag
             bag.mkdir(parents=True)
-            (bag / "x_0.mcap").write_text(f"recording {index}")
+            (bag / "x_0.mcap").write_bytes(f"recording {index}".encode() + MCAP0_MAGIC)
             (bag / "metadata.yaml").write_text(f"metadata {index}")
             note_stored(path, {result(index).bag: store.put_folder(bag, result(index).bag)})
             folder.append(result(index))
@@ -211,7 +212,8 @@ class Uploading:
             with Store.opened(work.settings["staging"]["store"]) as store:
                 bag = Path(work.settings["config"]["output_dir"]).parent / "made" / result(job.data).bag
                 bag.mkdir(parents=True, exist_ok=True)
-                (bag / "x_0.mcap").write_text(f"recording {job.data} of seed {work.settings['config']['run_seed']}")
+                text = f"recording {job.data} of seed {work.settings['config']['run_seed']}"
+                (bag / "x_0.mcap").write_bytes(text.encode() + MCAP0_MAGIC)
                 stored = {result(job.data).bag: store.put_folder(bag, result(job.data).bag)}
             yield Done(key=job.key, value={"result": to_plain(result(job.data)), "stored": stored})
 
