@@ -123,10 +123,12 @@ def write_dataset(
     identity = _identity(plan, sources, format, settings, fps)
     splits = {split: len(places) for split, places in plan.items() if places}
     written = Written(path=path, splits=splits, resumed=sum(splits.values()), left_out=tuple(left_out), changed=changed)
+    copied = format if getattr(made, "copies_images", False) else ""
     if not overwrite and _identity_of(path) == identity:
+        there = made.open(path)
         if not card_path(path).is_file():  # the call that wrote it was interrupted
-            write_card(made.open(path))
-        return written
+            write_card(there)
+        return replace(written, changed=changed + _compressed(there, plan, copied))
     files = files_beside(
         sources, format=format, how=how, options=settings, identity=identity,
         **({"not_read": to_json(left_out)} if left_out else {}),
@@ -151,8 +153,9 @@ def write_dataset(
                     done += 1
                     progress(done, sum(splits.values()))
         writer.complete(files)
-    write_card(made.open(path))
-    return replace(written, resumed=resumed)
+    there = made.open(path)
+    write_card(there)
+    return replace(written, resumed=resumed, changed=changed + _compressed(there, plan, copied))
 
 
 def stated_rate(description: Description, fps: float, sources: Sequence[Dataset]) -> Description:
@@ -196,6 +199,27 @@ def _without_maps(description: Description, plan: Plan, format: str) -> tuple[De
     names += [f"segmentation of camera {camera}" for camera in features.segmentation]
     lost = _parts(names, plan, "left out", f"{format} holds colour images only")
     return replace(description, features=replace(features, depth=(), segmentation=())), lost
+
+
+def _compressed(written: Dataset, plan: Plan, copied: str) -> tuple[Part, ...]:
+    """Return the images that lost a little.
+
+    Args:
+        written: The dataset that was written.
+        plan: Its episodes.
+        copied: Format whose compressed images were copied; empty: none.
+    """
+    if written.description.features.lossless:
+        return ()
+
+    def loses(source: Dataset) -> bool:
+        return source.description.features.lossless or source.format != copied
+
+    anew = {split: [place for place in places if loses(place.dataset)] for split, places in plan.items()}
+    names = (
+        [f"images of camera {camera}" for camera in written.description.features.cameras] if any(anew.values()) else []
+    )
+    return tuple(_parts(names, anew, "read", "compressed anew with a small loss"))
 
 
 def _parts(names: Sequence[str], plan: Plan, treatment: Treatment, why: str) -> list[Part]:

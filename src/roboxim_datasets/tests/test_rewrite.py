@@ -32,6 +32,20 @@ def test_a_merged_dataset_has_the_episodes_of_all_split_by_split(tmp_path, write
     assert (facts["how"], [source["name"] for source in facts["sources"]]) == ("merge", ["roboxim", "roboxim"])
     again = write_dataset(plan_of(a, b), tmp_path / "m", "rlds", options_like(a), how="merge")
     assert again.resumed == 5
+    assert written.changed == again.changed == ()  # the JPEG files are copied
+
+
+def test_images_that_lose_a_little_are_named(tmp_path, write):
+    a, b = write(tmp_path / "a", [0, 1], encoding="jpeg"), write(tmp_path / "b", [2], encoding="png")
+    frames = b.read("train", 0).length
+    merged = write_dataset(plan_of(a, b), tmp_path / "m", "rlds", options_like(a), how="merge")
+    again = write_dataset(plan_of(a, b), tmp_path / "m", "rlds", options_like(a), how="merge")
+    for written in (merged, again):
+        assert [(part.name, part.count, part.why) for part in written.changed] == [
+            ("images of camera workspace", frames, "compressed anew with a small loss")
+        ]
+    kept = write_dataset(plan_of(a, b), tmp_path / "p", "rlds", options_like(b), how="merge")
+    assert kept.changed == ()
 
 
 def test_what_does_not_fit_together_is_refused(tmp_path, write):

@@ -122,6 +122,7 @@ class RldsFormat:
     options = RldsOptions
     maps = False  # of depth and segmentation
     own_metadata = False  # of single episodes: all have the same keys
+    copies_images = True  # of another dataset of the format, if both have the same encoding
 
     def find(self, path: Path) -> list[Path]:
         """Return the datasets that a path is or that the folder holds."""
