@@ -168,6 +168,13 @@ def test_any_order_counts_in_any_order(tmp_path):
         ({"steps": [{"skill": "stack"}, {"skill": "push_button", "roles": {"target": "knob"}}]}, "unknown name 'knob'"),
         ({"steps": [{"skill": "stack"}, {"skill": "push"}]}, "unknown name 'push'"),
         ({"arguments": {"drawer": {"values": ["top"]}}}, "below its steps"),
+        (
+            {
+                "order": "any",
+                "steps": [*[{"skill": "push_button", "roles": {"target": "button"}}] * 2, {"skill": "stack"}],
+            },
+            "asks for the same as step 1, so that one action would do both",
+        ),
     ],
 )
 def test_wrong_sequences_are_refused(change, message):

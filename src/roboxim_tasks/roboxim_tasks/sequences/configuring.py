@@ -24,8 +24,8 @@ def with_steps(document: Document, config: TaskConfig) -> TaskConfig:
         config: The task as its file says.
 
     Raises:
-        ConfigError: When the skill of the task or of a step is unknown, there are too few or too many steps, or a step
-            names a role, parameter or argument that its skill lacks.
+        ConfigError: When the skill of the task or of a step is unknown, there are too few or too many steps, a step
+            names a role, parameter or argument that its skill lacks, or equal steps may be done in any order.
     """
     document.require(("order",), config.order, ORDERS)
     if not config.steps:
@@ -36,6 +36,14 @@ def with_steps(document: Document, config: TaskConfig) -> TaskConfig:
     if not 2 <= len(config.steps) <= MAX_STEPS:
         raise document.error(("steps",), f"a longer task has 2 to {MAX_STEPS} steps, got {len(config.steps)}")
     steps = tuple(_complete(document, config, number, step) for number, step in enumerate(config.steps))
+    asked = [replace(step, templates=None) for step in steps]
+    for number, step in enumerate(asked):
+        if config.order == "any" and step in asked[:number]:
+            first = asked.index(step) + 1
+            raise document.error(
+                ("steps", number),
+                f"asks for the same as step {first}, so that one action would do both; use order: fixed",
+            )
     name = joined(step.skill for step in steps)
     if "skill" in document.data and config.skill != name:
         raise document.error(("skill",), f"leave it out, or give the skills of the steps: '{name}'")
