@@ -76,7 +76,7 @@ def planned(given: Mapping[str, str], first_port: int) -> tuple[list[Server], li
     def value(name: str, what: str) -> str:
         if not given.get(name):
             missing.append(f"{name}: {what}")
-        return given.get(name, "")
+        return _absolute(given.get(name, ""))
 
     def address(name: str, scheme: str, place: int) -> tuple[str, bool]:
         url = given.get(f"{name}_URL", "")
@@ -87,7 +87,8 @@ def planned(given: Mapping[str, str], first_port: int) -> tuple[list[Server], li
     checkpoint = given.get("OCTO_CHECKPOINT", "") if runs else value(
         "OCTO_CHECKPOINT", "folder of a checkpoint or hf://rail-berkeley/octo-small-1.5 (or OCTO_URL of a server)"
     )  # fmt: skip
-    sources = [] if runs else value("OCTO_SOURCE", "clones of octo-models/octo and kvablack/dlimp").split()
+    clones = "" if runs else value("OCTO_SOURCE", "clones of octo-models/octo and kvablack/dlimp")
+    sources = [_absolute(one) for one in clones.split()]
     command = [str(ROOT / ".tools/policy-octo-env/bin/python"), str(SERVERS / "octo.py"), "--checkpoint", checkpoint]
     command += [part for source in sources for part in ("--source", source)]
     servers.append(_server("octo", "openpi", url, runs, checkpoint, command, environment="policy-octo"))
@@ -106,7 +107,7 @@ def planned(given: Mapping[str, str], first_port: int) -> tuple[list[Server], li
         "OPENVLA_CHECKPOINT", "folder of a checkpoint or openvla/openvla-7b (or OPENVLA_URL of a server)"
     )  # fmt: skip
     source = "" if runs else value("OPENVLA_SOURCE", "clone of openvla/openvla, with its environment in .venv")
-    python = given.get("OPENVLA_PYTHON") or f"{source}/.venv/bin/python"
+    python = str(Path(given.get("OPENVLA_PYTHON") or f"{source}/.venv/bin/python").absolute())
     if source and not runs and not Path(python).exists():
         missing.append(f"OPENVLA_PYTHON: {python} does not exist; name the Python of OpenVLA's environment")
     script = Path(source) / "vla-scripts" / "deploy.py"
@@ -115,6 +116,11 @@ def planned(given: Mapping[str, str], first_port: int) -> tuple[list[Server], li
     command = [python, "vla-scripts/deploy.py", "--openvla_path", checkpoint, "--host", "127.0.0.1"]
     servers.append(_server("openvla", "openvla", url, runs, checkpoint, command, folder=Path(source or ROOT)))
     return servers, missing
+
+
+def _absolute(place: str) -> str:
+    """Return a path that exists as an absolute one, since servers start in other folders; anything else as it is."""
+    return str(Path(place).absolute()) if place and Path(place).exists() else place
 
 
 def _server(

@@ -213,7 +213,7 @@ def _compare_episode(
     maps = {"depth": names.depth, "segmentation": names.segmentation}
     for one_step, other_step in zip(a.steps(names.cameras, **maps), b.steps(names.cameras, **maps), strict=False):
         found.steps += 1
-        instructions = [step.instruction or e.instruction for step, e in ((one_step, a), (other_step, b))]
+        instructions = [e.words(step) for step, e in ((one_step, a), (other_step, b))]
         if instructions[0] != instructions[1] and "instruction" not in reported and a.instruction == b.instruction:
             reported.add("instruction")
             found.add(f"instruction from step {one_step.index}: {instructions[0]!r} against {instructions[1]!r}", where)

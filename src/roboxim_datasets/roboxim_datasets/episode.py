@@ -256,9 +256,13 @@ class Episode:
             if name not in have:
                 raise InvalidRequestError(f"episode '{self.episode_id}' has no {what} '{name}'; {one_of(have, name)}")
 
+    def words(self, step: Step) -> str:
+        """Return the instruction of a step; empty where another tool's dataset has none there."""
+        return self.instruction if step.instruction is None else step.instruction
+
     def subtask(self, step: Step) -> str:
         """Return the subtask of a step as datasets that have subtasks store it: without one it is the instruction."""
-        return step.subtask or step.instruction or self.instruction
+        return step.subtask or self.words(step)
 
     def actions(self) -> Floats:
         """Read all actions, float32, shape (T, D)."""

@@ -12,11 +12,14 @@ import pytest
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ConfigError
 from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
-from roboxim_core.proprioception import Proprioception
+from roboxim_core.proprioception import STATE_NAMES, Proprioception
+from roboxim_datasets.dataset import Description, Features
+from roboxim_datasets.episode import ImageSize, Step
+from roboxim_datasets.registry import FORMATS
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.learning.augment import augmentation
 from roboxim_policies.learning.checkpoint import Checkpoint, load_checkpoint, policy_only
-from roboxim_policies.learning.data import Demonstration, Demonstrations, assemble
+from roboxim_policies.learning.data import Demonstration, Demonstrations, assemble, read_demonstrations
 from roboxim_policies.learning.features import PROPRIO_SIZE, GraspMemory, proprio_features, state_features, word_indices
 from roboxim_policies.learning.layers import TargetHead
 from roboxim_policies.learning.points import PointEncoder
@@ -501,3 +504,29 @@ def test_errors_on_held_out_demonstrations_are_in_units_that_a_user_knows(traine
     assert found.turn_mrad == 0
     assert found.grasp_mm < 60  # of up to 120 mm
     assert found.gripper < 0.1
+
+
+def test_poses_as_actions_are_refused(tmp_path):
+    semantics = ActionSemantics(control="end_effector_absolute")  # seven numbers as well
+    names = {"state": tuple(STATE_NAMES)}
+    features = Features(
+        cameras={"workspace": ImageSize(height=32, width=32)}, keys={"workspace": "image"}, lossless=True,
+        action=semantics.component_names(), vectors=names,
+    )  # fmt: skip
+    description = Description(features=features, fps=20, semantics=semantics, metadata={}, robot="panda")
+
+    def read(wanted):
+        pose = np.array([0.5, 0.1, 0.2, 3.14, 0, 0, 1], np.float32)
+        for index in range(4):
+            images = {camera: np.zeros((32, 32, 3), np.uint8) for camera in wanted.cameras}
+            yield Step(index=index, images=images, proprio={"state": np.zeros(10, np.float32)}, action=pose)
+
+    episode = description.episode(
+        length=4, instruction="pick up the cube", success=True, metadata={}, read=read, name="a"
+    )
+    made = FORMATS["hdf5"]()
+    with made.create(tmp_path / "d", description, made.options(), identity="", overwrite=False) as writer:
+        writer.add("train", episode)
+        writer.complete({})
+    with pytest.raises(ConfigError, match="are end_effector_absolute of 7 numbers; it learns end_effector_delta of 7"):
+        read_demonstrations(tmp_path / "d")

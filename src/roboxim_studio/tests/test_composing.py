@@ -99,6 +99,9 @@ def test_a_saved_task_gives_generate_the_scene_that_was_shown(studio, tmp_path):
     draw = compose.draw(another=True).result(timeout=120)
     assert draw.task.instruction.startswith("Get the")
     assert digest(draw.scene) in compose._message.content
+    (tmp_path / "others.yaml").write_text("skill: pick_up\n")
+    assert compose.save("others") is None
+    assert (tmp_path / "others.yaml").read_text() == "skill: pick_up\n"
     file = compose.save("my_task")
     assert load_task_config(str(file)) == compose.form.made.config
     config = RunConfig(run_seed=4, purpose="demo", task_config=task_text(str(file)), output_dir=str(tmp_path / "run"))

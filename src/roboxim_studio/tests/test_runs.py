@@ -58,6 +58,12 @@ def test_a_selection_file_leaves_episodes_out_of_exports_and_touches_no_bag(stud
     assert not studio.files.selection.marks
     assert studio.files.selection.save("../x") is None
     assert not list(tmp_path.parent.glob("x.where"))
+    (tmp_path / "of_another_run.where").write_text("episode!=demo-0-00003-0\n")
+    assert studio.files.selection.save("of_another_run") is None
+    assert "exists already" in studio.files.selection._saved.content
+    assert studio.files.selection.save("mine") == file  # its own file
+    studio.files.selection.load("of_another_run")
+    assert studio.files.selection.save("of_another_run") is not None
 
 
 def test_a_selection_file_trims_and_relabels_and_can_be_loaded_again(studio, run, tmp_path):

@@ -112,7 +112,7 @@ class Hdf5Writer:
             for key, values in self._numbers(step).items():
                 rows[key].append(values)
             if episode.instructions:
-                indices.append(episode.instructions.index(step.instruction or episode.instruction))
+                indices.append(episode.instructions.index(episode.words(step)))
             if content.subtasks:
                 at_hand.append(subtasks.index(episode.subtask(step)))
             for key, dataset in images.items():

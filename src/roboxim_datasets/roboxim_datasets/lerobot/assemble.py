@@ -106,7 +106,7 @@ def _numbered(
     for index, entry in enumerate(entries):
         piece = Piece.read(build.piece(entry["split"], entry["number"], "rows.arrow"))
         instructions = entry.get("spoken") or [None] * len(piece)
-        task = np.array([numbers[text or entry["instruction"]] for text in instructions], np.int64)
+        task = np.array([numbers[entry["instruction"] if text is None else text] for text in instructions], np.int64)
         indices = index_arrays(len(piece), fps=layout.fps, episode=index, first=first, task=task)
         if layout.subtasks:
             indices[SUBTASK_INDEX] = np.array([parts[text] for text in entry["subtasks"]], np.int64)

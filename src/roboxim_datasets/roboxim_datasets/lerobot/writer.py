@@ -183,8 +183,9 @@ class _Collected:
         for key, camera in content.cameras.items():
             self._image(key, step.images[camera])
         for key, camera in content.depth.items():
-            scaled = np.nan_to_num(step.depth[camera] / DEPTH_UNIT_M, nan=0.0, posinf=0.0)
-            self._map(key, np.where(scaled > MAX_DEPTH, 0, np.rint(scaled)).astype(np.uint16))
+            scaled = np.nan_to_num(step.depth[camera] / DEPTH_UNIT_M, nan=0.0, posinf=0.0, neginf=0.0)
+            known = (scaled > 0) & (scaled <= MAX_DEPTH)  # others' -1 means that there is no value
+            self._map(key, np.where(known, np.rint(scaled), 0).astype(np.uint16))
         for key, camera in content.segmentation.items():
             self._map(key, step.segmentation[camera])
 

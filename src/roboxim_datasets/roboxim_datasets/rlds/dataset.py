@@ -109,7 +109,9 @@ class RldsDatasetWriter:
         self._write_pending()
         self._writer.finish_shards()
         features = self._writer.features
-        shards = next((found for split in SPLITS if (found := self._writer.shard_files(split))), [])
+        shards = next(
+            (found for split in (*SPLITS, *self._writer.splits) if (found := self._writer.shard_files(split))), []
+        )
         statistics = statistics_of(shards, features)
         own = loader_files(self._options.name, features, statistics)
         self._writer.complete({**own, **files})

@@ -93,7 +93,7 @@ def to_rlds(read: EncodedSteps, described: Features, features: RldsFeatures) -> 
         signals={name: np.stack([step.signal(SIGNAL_PREFIX + name) for step in steps]) for name in features.signals},
         action=np.stack([step.action for step in steps]),
         instruction=episode.instruction,
-        instructions=tuple(step.instruction or episode.instruction for step in steps) if episode.instructions else (),
+        instructions=tuple(map(episode.words, steps)) if episode.instructions else (),
         subtasks=tuple(map(episode.subtask, steps)) if features.subtask else (),
         reward=np.array([step.reward for step in steps], np.float32),
         metadata={key: value for key, value in {**episode.metadata, **own}.items() if key in features.metadata},

@@ -116,6 +116,11 @@ class RldsWriter:
         for split in list(self._pending):
             self._finish_shard(split)
 
+    @property
+    def splits(self) -> list[str]:
+        """The splits that have a finished shard, in the order in which they began."""
+        return list(dict.fromkeys(of["split"] for of in self._build.entries))
+
     def shard_files(self, split: str) -> list[Path]:
         """Return the finished shards of a split."""
         entries = self._build.entries

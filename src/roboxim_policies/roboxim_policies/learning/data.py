@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.actions import ACTION_SIZE, ActionSemantics, GripperConvention
+from roboxim_core.actions import ACTION_SIZE, ActionSemantics, ControlMode, GripperConvention
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.proprioception import STATE_NAMES
 from roboxim_core.vision.images import resized
@@ -297,8 +297,11 @@ def read_demonstrations(
         progress(index + 1, total)
     if semantics is None:
         raise ConfigError(f"{path}: split '{split}' has no episodes")
-    if semantics.control.is_joint_space or semantics.dimension() != ACTION_SIZE:
-        raise ConfigError(f"{path}: it learns {ACTION_SIZE} numbers, an end-effector motion; export such actions")
+    if semantics.control is not ControlMode.END_EFFECTOR_DELTA or semantics.dimension() != ACTION_SIZE:
+        raise ConfigError(
+            f"{path}: its actions are {semantics.control} of {semantics.dimension()} numbers; it learns "
+            f"{ControlMode.END_EFFECTOR_DELTA} of {ACTION_SIZE}, a motion of the end effector; export such actions"
+        )
     if semantics.gripper is not GripperConvention.ABSOLUTE_OPEN_1_CLOSED_0:
         raise ConfigError(f"{path}: it learns grippers with 1 = open and 0 = closed; export such actions")
     camera_sizes = {camera: (cameras[camera].width, cameras[camera].height) for camera in sizes}

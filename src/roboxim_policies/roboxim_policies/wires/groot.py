@@ -40,7 +40,7 @@ from roboxim_policies.wires.base import (
 )
 from roboxim_policies.wires.errors import Deadline, died, fault, invalid, quoted, unreadable
 from roboxim_policies.wires.packing import pack, unpack
-from roboxim_policies.wires.parts import Parts, last_part, parts_of
+from roboxim_policies.wires.parts import Parts, last_part, named, parts_of
 
 if TYPE_CHECKING:
     import zmq
@@ -254,14 +254,15 @@ class GrootWire(Wire):
 
     def _chosen(self, group: str, parts: Parts) -> dict[str, np.ndarray[Any, Any]]:
         """Return the request's arrays under the server's keys."""
-        given = {last_part(key): value for key, value in (parts.images if group == "video" else parts.numbers).items()}
-        missing = [key for key in self._keys[group] if last_part(key) not in given]
-        if missing:
+        given = parts.images if group == "video" else parts.numbers
+        found = {key: named(key, given) for key in self._keys[group]}
+        wrong = [key for key, names in found.items() if len(names) != 1]
+        if wrong:
             raise InvalidRequestError(
-                f"{self.server} needs the {group} keys {', '.join(missing)}; the convention sends "
-                f"{', '.join(given) or 'none'}. Give its entries the server's keys"
+                f"{self.server} needs the {group} keys {', '.join(wrong)}; the convention sends "
+                f"{', '.join(given) or 'none'}. Give its entries the server's keys, each once"
             )
-        return {key: given[last_part(key)] for key in self._keys[group]}
+        return {key: given[names[0]] for key, names in found.items()}
 
     def _columns(self, actions: dict[str, Any]) -> Answer:
         """Return the actions of all declared keys, in the declared order."""

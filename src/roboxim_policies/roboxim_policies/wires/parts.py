@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,6 +47,18 @@ def parts_of(request: Mapping[str, Any], prompt_key: str) -> Parts:
     if not isinstance(text, str):
         raise InvalidRequestError(f"a request must have the instruction as '{prompt_key}'; it has {sorted(request)}")
     return Parts(text=text, images=images, numbers=numbers, extras=extras)
+
+
+def named(key: str, sent: Iterable[str]) -> list[str]:
+    """Return a convention's keys that mean a server's key: equal but for groups before it, or else in the last part.
+
+    Args:
+        key: The server's key, e.g. ``front.rgb``.
+        sent: Keys of the convention, e.g. ``video.front.rgb``.
+    """
+    sent, wanted = list(sent), key.replace(".", "/")
+    whole = [one for one in sent if f"/{one.replace('.', '/')}".endswith(f"/{wanted}")]
+    return whole or [one for one in sent if last_part(one) == last_part(key)]
 
 
 def last_part(key: str) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_core.limits import echo
 from roboxim_core.policies import EpisodeStart
 from roboxim_policies.wires.arrays import MESSAGE_BYTES, array_from, checked_shape, rows_of
@@ -120,11 +120,13 @@ def observation(request: Request, prompt_key: str, *, leave_out: Collection[str]
         leave_out: ``send_wrist_image`` and ``send_state`` leave these parts out.
     """
     parts = parts_of(request, prompt_key)
-    images = {
-        last_part(key): image
-        for key, image in parts.images.items()
-        if not ("send_wrist_image" in leave_out and "wrist" in key)
-    }
+    sent = [key for key in parts.images if not ("send_wrist_image" in leave_out and "wrist" in key)]
+    images = {last_part(key): parts.images[key] for key in sent}
+    if len(images) < len(sent):
+        raise InvalidRequestError(
+            f"this wire sends the last parts of keys alone, and images have equal ones: {', '.join(sent)}; rename them "
+            "in the convention"
+        )
     payload: dict[str, Any] = {"images": images, "task_description": parts.text, **parts.extras}
     if parts.numbers and "send_state" not in leave_out:
         controller = {key: value for key, value in parts.numbers.items() if last_part(key) == CONTROLLER_STATES}

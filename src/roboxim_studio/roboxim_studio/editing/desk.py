@@ -19,9 +19,9 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
-from roboxim_core.whole_files import write_whole
 from roboxim_studio.bench import Bench
 from roboxim_studio.editing.document import History, as_yaml, checked, scene_hash
+from roboxim_studio.own_files import OwnFiles
 from roboxim_tasks.demonstration.solvable import state_at_rest
 from roboxim_tasks.fixed_scene import FixedTask, FixedTaskConfig
 
@@ -76,6 +76,8 @@ class Desk:
         self.history = History(document)
         self._library, self._bench, self._lab = library, bench, lab
         self._arms: dict[str, ArmKinematics] = {}
+        self.own_files = OwnFiles()
+        """Files that saving may replace."""
         self.lock = threading.RLock()
         """Held while the document changes."""
         self.checks = Checks(of=document)
@@ -180,13 +182,13 @@ class Desk:
             The file, which ``generate --task`` and ``evaluate --task`` take.
 
         Raises:
-            ConfigError: When the name is no plain file name, or the document is no valid task.
+            ConfigError: When the name is no plain file name or that of another file, or the document is no valid task.
             OSError: When it cannot be written.
         """
         file = file_to_save(folder, name)
         document = self.history.now
         checked(document, self._library)
-        write_whole(file, f"# Made with roboxim studio; scene {scene_hash(document)}.\n{as_yaml(document)}")
+        self.own_files.write(file, f"# Made with roboxim studio; scene {scene_hash(document)}.\n{as_yaml(document)}")
         return file
 
     def _changed(self) -> Future[Checks]:

@@ -12,8 +12,8 @@ from pathlib import Path
 from roboxim_core.errors import ConfigError
 from roboxim_core.limits import is_file_name
 from roboxim_core.plain_data.documents import read_text
-from roboxim_core.whole_files import write_whole
 from roboxim_datasets.where import Choice, Edit, with_files
+from roboxim_studio.own_files import OwnFiles
 
 ENDING = ".where"
 FLAG = "# flagged: "
@@ -62,26 +62,31 @@ def read_selection(folder: Path, name: str) -> Saved:
         ConfigError: When the name is no plain file name, or there is no such file.
         InvalidRequestError: When a line is no condition.
     """
-    file = _file(folder, name)
+    file = selection_file(folder, name)
     choice = Choice.parse(with_files([f"@{file}"]))
     out = {v for _, one in choice.conditions if (one.key, one.sign) == ("episode", "!=") for v in one.values}
     flags = [line.removeprefix(FLAG) for line in read_text(file).splitlines() if line.startswith(FLAG)]
     return Saved(left_out=frozenset(out), flagged=frozenset(flags), edits=choice.edits)
 
 
-def save_selection(folder: Path, name: str, text: str) -> Path:
+def save_selection(folder: Path, name: str, text: str, own: OwnFiles) -> Path:
     """Write a selection file; returns it.
 
     Raises:
-        ConfigError: When the name is no plain file name.
+        ConfigError: When the name is no plain file name, or that of another file.
         OSError: When it cannot be written.
     """
-    file = _file(folder, name)
-    write_whole(file, text)
+    file = selection_file(folder, name)
+    own.write(file, text)
     return file
 
 
-def _file(folder: Path, name: str) -> Path:
+def selection_file(folder: Path, name: str) -> Path:
+    """Return the file of a selection.
+
+    Raises:
+        ConfigError: When the name is no plain file name.
+    """
     stem = name.removesuffix(ENDING)
     if not is_file_name(stem):
         raise ConfigError(f"'{name}' is no file name; expected letters, digits, '-' and '_', e.g. my_selection")

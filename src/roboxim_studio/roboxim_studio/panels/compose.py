@@ -13,7 +13,6 @@ from roboxim_core.config_folders import config_names
 from roboxim_core.episode import Draw
 from roboxim_core.errors import ConfigError, RoboximError, one_of
 from roboxim_core.seeds import PURPOSES, SeedPath
-from roboxim_core.whole_files import write_whole
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.acting.take import take
@@ -23,6 +22,7 @@ from roboxim_studio.editing.desk import file_to_save
 from roboxim_studio.editing.document import as_yaml, from_draw
 from roboxim_studio.episode.film import Film, ending
 from roboxim_studio.look.scene_view import SceneView
+from roboxim_studio.own_files import OwnFiles
 from roboxim_studio.panels import markup
 from roboxim_studio.panels.editor import EditorPanel
 from roboxim_studio.panels.editor_forms import by_person
@@ -54,7 +54,7 @@ class ComposePanel:
         """
         self._site, self._gui, self._view = site, site.viser.gui, view
         self._bench, self._lab, self._editor, self._watch = bench, lab, editor, watch
-        self._cancel, self._saves = threading.Event(), folder
+        self._cancel, self._saves, self._own = threading.Event(), folder, OwnFiles()
         self.drawn: Draw | None = None
         """The newest draw."""
         self.driven: Callable[[], bool] = lambda: False
@@ -120,7 +120,7 @@ class ComposePanel:
         """Save the task; returns the file, or None if it is not possible, which the panel says."""
         try:
             file = file_to_save(self._saves, name)
-            write_whole(file, f"# Made with roboxim studio.\n{self.text}")
+            self._own.write(file, f"# Made with roboxim studio.\n{self.text}")
         except (RoboximError, OSError) as error:
             self._show_message(str(error), alert=True)
             return None

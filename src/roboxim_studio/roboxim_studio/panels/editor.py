@@ -180,6 +180,7 @@ class EditorPanel:
         assert self.desk is not None
         try:
             file = file_to_save(self._folder, name).with_suffix(".html")
+            self.desk.own_files.require(file)
             share_scene(self.desk.document, self.desk.state(), self.library, file)
         except (RoboximError, OSError) as error:
             self._saved.content = markup.paragraph(str(error), "saved", alert=True)

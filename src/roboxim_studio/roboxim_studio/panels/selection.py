@@ -11,7 +11,8 @@ from typing import Any
 from roboxim_core.errors import RoboximError
 from roboxim_datasets.audit.values import Finding
 from roboxim_datasets.where import Choice, Condition, Edit, Fact, require_known
-from roboxim_studio.episode.choice import read_selection, save_selection, selection_text
+from roboxim_studio.episode.choice import read_selection, save_selection, selection_file, selection_text
+from roboxim_studio.own_files import OwnFiles
 from roboxim_studio.panels import markup
 
 MARKS = {"": "", "flag": "! ", "out": "x "}
@@ -57,7 +58,7 @@ class Selection:
         """
         self._folder, self._source, self._command = folder, source, command
         self._opened, self._changed = opened, changed
-        self._lock = threading.RLock()
+        self._lock, self._own = threading.RLock(), OwnFiles()
         self.ids: Mapping[str, str] = {}
         """Name of every episode in the panel to its name in a selection."""
         self.marks: dict[str, str] = {}
@@ -177,7 +178,7 @@ class Selection:
         flagged = [self.ids[one] for one, mark in self.marks.items() if mark == "flag"]
         text = selection_text(out, flagged, self._source.name, len(self.ids), self.edits.values())
         try:
-            file = save_selection(self._folder, name, text)
+            file = save_selection(self._folder, name, text, self._own)
         except (RoboximError, OSError) as error:
             self._saved.content = markup.paragraph(str(error), "selection", alert=True)
             return None
@@ -189,6 +190,7 @@ class Selection:
         """Take the marks and edits of a selection file that was saved before."""
         try:
             saved = read_selection(self._folder, name)
+            self._own.add(selection_file(self._folder, name))
         except RoboximError as error:
             self.show_message(str(error), alert=True)
             return
