@@ -119,7 +119,7 @@ def _sized(config: ExperimentConfig, trainings: int, rollouts: int) -> Experimen
     factor = rollouts / compared
     sized = replace(
         evaluate,
-        per_cell=max(1, math.floor(factor * evaluate.per_cell)),
+        per_cell=max(1, math.floor(factor * evaluate.per_cell + 1e-9)),
         per_unseen_cell=max(1, math.floor(factor * unseen + 1e-9)),
     )
     return replace(config, replicates=replace(config.replicates, count=trainings), evaluate=sized)

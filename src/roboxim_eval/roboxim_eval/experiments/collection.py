@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
-from roboxim_eval.experiments.config import CompareConfig, ConditionConfig, EvaluateConfig, ExperimentConfig
+from roboxim_eval.experiments.config import CompareConfig, EvaluateConfig, ExperimentConfig
 from roboxim_eval.statistics.replicates import MIN_REPLICATES
 from roboxim_eval.statistics.tables import Count
 
@@ -84,8 +84,8 @@ def next_round(card: Card, demonstrations: int, condition: str = "") -> Round:
                 for arm, one in datasets.items()
             },
             conditions={
-                arm: ConditionConfig(
-                    train=arm, steps=config.conditions[source].steps, arguments=config.conditions[source].arguments,
+                arm: replace(
+                    config.conditions[source], train=arm,
                     about=f"{sum(added[arm].values())} more demonstrations, {words}.",
                 )
                 for (arm, source), words in zip(sources.items(), ("where it failed", "of every cell"), strict=True)

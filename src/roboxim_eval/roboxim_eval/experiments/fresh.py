@@ -82,7 +82,9 @@ def committed_text(card: Card) -> str:
         return f"seed {seed}, which the run was given" if seed else ""
     trainings = len(card.trainings)
     when = f"after {fresh.trained_before} of {trainings} trainings were finished"
-    if not fresh.trained_before:
+    if any(not training.checkpoint_sha256 for training in card.trainings):
+        when = "at a time that nothing here relates to the trainings, of which some took place elsewhere"
+    elif not fresh.trained_before:
         when = f"before all {trainings} trainings" if trainings else "before the evaluations"
     return (
         f"fresh, of seed {fresh.seed}, drawn {when}; the commitment {fresh.commitment} is the SHA-256 of "

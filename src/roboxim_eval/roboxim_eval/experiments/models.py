@@ -36,6 +36,7 @@ from roboxim_eval.statistics.replicates import (
     Interval,
     condition_difference,
     condition_rate,
+    is_even,
 )
 from roboxim_eval.statistics.tables import Arm
 
@@ -253,7 +254,7 @@ def _pair(
             first=one, second=two, difference=difference.interval(), p=difference.p_value,
             test=f"over {replicates} trainings each",
         )  # fmt: skip
-    if pairs and all(p.scenes for p in pairs):
+    if pairs and all(p.scenes for p in pairs) and is_even(first) and is_even(second):
         together = sum(pairs[1:], start=pairs[0])
         found, test = paired_difference(together), f"these checkpoints, on {together.scenes} scenes that both met"
     else:

@@ -105,8 +105,11 @@ def rotated(config: ExperimentConfig, sets: int, held_out: int, replicates: int 
         replicates: Trainings of each condition in a part.
 
     Raises:
-        ConfigError: When no such sets exist, or the experiment compares no two conditions in held-out cells.
+        ConfigError: When no such sets exist, or the experiment compares no two conditions in held-out cells, or has
+            combinations.
     """
+    if config.combinations is not None:
+        raise ConfigError("an experiment with combinations is not rotated: its seen cells belong to its unseen ones")
     primary = config.primary
     if primary is None or primary.where != "unseen" or primary.against:
         raise ConfigError("a rotated design needs a primary comparison of two conditions in unseen cells")
@@ -144,6 +147,9 @@ def joined(cards: Sequence[Card]) -> RotatedScore:
         if _without_set(config) != _without_set(cards[0].experiment.config):
             names = f"{card.experiment.name} and {cards[0].experiment.name}"
             raise ConfigError(f"{names} differ in more than the held-out set")
+        trainers = [_trainer(one) for one in (card, cards[0])]
+        if trainers[0] != trainers[1]:
+            raise ConfigError(f"the parts were trained by different trainers: {trainers[1]} and {trainers[0]}")
         assert primary is not None
         cells = [cell.key for cell in chosen(design_of_card(card).cells, "unseen")]
         if twice := seen & set(cells):
@@ -152,6 +158,10 @@ def joined(cards: Sequence[Card]) -> RotatedScore:
         arms = outcomes_of_card(card).arms
         parts.append(Part(first=arms[primary.first].within(cells), second=arms[primary.second].within(cells)))
     return rotated_score(parts)
+
+
+def _trainer(card: Card) -> str:
+    return card.experiment.trainer or next(iter(card.experiment.config.trainers), "")
 
 
 def _without_set(config: ExperimentConfig) -> ExperimentConfig:

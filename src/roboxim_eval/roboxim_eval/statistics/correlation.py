@@ -34,7 +34,7 @@ import numpy.typing as npt
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Array
-from roboxim_eval.statistics.replicates import Interval, pooled_rate
+from roboxim_eval.statistics.replicates import Interval, equal_rollouts
 from roboxim_eval.statistics.tables import Arm
 
 MIN_POLICIES = 3
@@ -116,8 +116,13 @@ def policy_counts(name: str, first: Arm, second: Arm) -> PolicyCounts:
             f"policy '{name}': the tables have no cell in common: {', '.join(first.cells)}; and "
             f"{', '.join(second.cells)}"
         )
-    one, two = (pooled_rate(arm.within(cells or arm.cells)) for arm in (first, second))
-    return PolicyCounts(name=name, first=(one.successes, one.episodes), second=(two.successes, two.episodes))
+    one, two = (_counts(arm.within(cells or arm.cells)) for arm in (first, second))
+    return PolicyCounts(name=name, first=one, second=two)
+
+
+def _counts(arm: Arm) -> tuple[float, float]:
+    rollouts = equal_rollouts(arm)
+    return arm.rate * rollouts, rollouts
 
 
 def correlation(policies: Sequence[PolicyCounts], *, seed: int = 0) -> Correlation:

@@ -158,16 +158,26 @@ def condition_difference(
         odd = ", ".join(sorted(set(first.cells) ^ set(second.cells)))
         raise InvalidRequestError(f"conditions are compared on equal cells; these differ: {odd}")
     differences = first.rates - second.rates
-    alone = len(first.replicates) == 1  # Q1: scenes are the sample
-    even = len({count.episodes for count in first.by_cell.values()}) == 1  # else some cells would weigh more
+    even = is_even(first, slack=0.1 if len(first.replicates) == 1 else 0.0)  # else some cells would weigh more
     return ConditionDifference(
         differences=tuple(float(d) for d in differences),
         rollouts=(pooled_rate(first), pooled_rate(second)),
-        pairs=sum(pairs[1:], start=pairs[0]) if pairs and (alone or even) else None,
+        pairs=sum(pairs[1:], start=pairs[0]) if pairs and even else None,
     )
 
 
-def _equal_rollouts(arm: Arm) -> float:
+def is_even(arm: Arm, slack: float = 0.1) -> bool:
+    """Return whether an arm's cells have equal numbers of episodes, so that a pooled rate is the mean of the cells.
+
+    Args:
+        arm: The arm.
+        slack: Part of the largest number that may be missing, e.g. by excluded episodes.
+    """
+    numbers = [count.episodes for count in arm.by_cell.values()]
+    return not numbers or min(numbers) >= (1 - slack) * max(numbers)
+
+
+def equal_rollouts(arm: Arm) -> float:
     """Return the number of rollouts in equally full cells that would give the mean of the cells' rates as exactly.
 
     With n_c rollouts in cell c of C cells, it is C^2 / sum(1 / n_c), which equals all rollouts if cells have equal
@@ -178,8 +188,8 @@ def _equal_rollouts(arm: Arm) -> float:
 
 
 def pooled_rate(arm: Arm) -> SuccessRate:
-    """Return the rate of an arm, the mean of its cells', as that of `_equal_rollouts`."""
-    episodes = max(1, round(_equal_rollouts(arm)))
+    """Return the rate of an arm, the mean of its cells', as that of `equal_rollouts`."""
+    episodes = max(1, round(equal_rollouts(arm)))
     successes = round(arm.rate * episodes)
     if 0 < arm.rate < 1:
         successes = min(max(successes, 1), episodes - 1)
@@ -200,7 +210,7 @@ def condition_rate(arm: Arm) -> Interval:
         below, above = max(below, half), max(above, half)
     low, high = max(0.0, arm.rate - below), min(1.0, arm.rate + above)
     if len(rates) > 1 and arm.rate_interval == "beta_binomial":
-        bounds = mean_rate_interval(rates.tolist(), _equal_rollouts(arm) / len(rates))
+        bounds = mean_rate_interval(rates.tolist(), equal_rollouts(arm) / len(rates))
         low, high = min(low, bounds[0]), max(high, bounds[1])
     return Interval(value=arm.rate, low=low, high=high)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -107,9 +108,12 @@ def _scenes(
     scenes: dict[str, dict[str, str]] = {}
     for name, result in found.items():
         keys = scenes[name] = {}
+        times: Counter[str] = Counter()
         for episode in result.results:
             known = facts[name].get(episode.episode_id)
-            met = known.scene if known is not None and known.scene else f"{name} {episode.episode_id}"
+            scene = known.scene if known is not None and known.scene else f"{name} {episode.episode_id}"
+            times[scene] += 1
+            met = f"{scene} {times[scene]}"  # a task may draw one scene more than once
             if met not in names:
                 plain = str(episode.index)
                 names[met] = plain if plain not in taken else f"{plain} of {name}"

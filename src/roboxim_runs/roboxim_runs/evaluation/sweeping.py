@@ -111,7 +111,9 @@ def sweep(
         wanted = replace(
             config, policies=[by_name[name] for name in names], out=out / part, episodes=scenes, seed=seed, page=False
         )
-        return evaluate(wanted, on_event=on_event, cancellation=cancellation, executor=executor)
+        found = evaluate(wanted, on_event=on_event, cancellation=cancellation, executor=executor)
+        found.require_measured()
+        return found
 
     def play(names: Sequence[str], scenes: int) -> Mapping[str, Sequence[bool]]:
         on_event(Notice(text=f"{len(names)} policies, {scenes} scenes"))

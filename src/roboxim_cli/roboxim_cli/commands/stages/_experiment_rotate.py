@@ -52,7 +52,11 @@ def join(cards: tuple[Path, ...], as_json: bool) -> None:
     from roboxim_eval.experiments.rotation import joined
     from roboxim_runs.experiments.report import stored_card
 
-    found = joined([stored_card(path) for path in cards])
+    loaded = [stored_card(path) for path in cards]
+    found = joined(loaded)
+    for path, card in zip(cards, loaded, strict=True):
+        for warning in card.warnings:
+            click.echo(f"{path} warns: {warning}", err=True)
     sampled = found.gap_of_all_cells
     if as_json:
         intervals = {

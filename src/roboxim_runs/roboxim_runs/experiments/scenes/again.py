@@ -109,9 +109,10 @@ def take_trainings(source: Path, out: Path) -> None:
 
 
 def _linked(source: str, target: str) -> None:
+    Path(target).unlink(missing_ok=True)  # it is there from an interrupted call
     try:
         os.link(source, target)
-    except OSError:  # another file system, or the target is there from an interrupted call
+    except OSError:  # another file system
         shutil.copy2(source, target)
 
 
