@@ -1,6 +1,7 @@
 """Which demonstrations next: arms of equal numbers, spread by failures or evenly; rounds continue."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from planted_cards import SKILL_AND_OBJECT, experiment_of, planted_card
@@ -78,3 +79,11 @@ def test_what_gives_no_round_is_refused():
 def test_shares_are_whole_and_add_up():
     assert shared_out(10, {"a": 1.0, "b": 1.0, "c": 1.0}) == {"a": 4, "b": 3, "c": 3}
     assert shared_out(7, {"a": 0.0, "b": 2.0}) == {"a": 0, "b": 7}
+
+
+def test_the_next_round_is_judged_under_the_conditions_of_the_weak_cells():
+    config = experiment_of(TEXT)
+    conditions = dict(config.conditions)
+    late = replace(conditions["baseline"], latency_ticks=2, instruction="Do it")
+    found = next_round(planted(config=replace(config, conditions={**conditions, "baseline": late})), 30)
+    assert {(one.latency_ticks, one.instruction) for one in found.config.conditions.values()} == {(2, "Do it")}

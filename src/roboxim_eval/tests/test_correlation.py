@@ -146,3 +146,13 @@ def main():
 
 if __name__ == "__main__":
     main()
+
+
+def test_cells_of_unequal_sizes_keep_their_rates():
+    def arm(*cells):
+        counts = {name: Count(successes=won, episodes=many) for name, (won, many) in zip("ab", cells, strict=True)}
+        return Arm(replicates=(counts,))
+
+    found = policy_counts("p", arm((10, 20), (9, 20)), arm((2, 2), (12, 20)))
+    assert found.rates == pytest.approx((19 / 40, (1 + 12 / 20) / 2))
+    assert found.second[1] == pytest.approx(4 / (1 / 2 + 1 / 20))

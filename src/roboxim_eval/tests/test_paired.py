@@ -10,7 +10,9 @@ from scipy.stats import binom, binomtest
 from roboxim_core.errors import InvalidRequestError
 from roboxim_eval.statistics.paired import Pairs, independent_difference, paired_difference
 from roboxim_eval.statistics.rates import success_rate
+from roboxim_eval.statistics.replicates import condition_difference
 from roboxim_eval.statistics.sequential import SequentialPlan, sequential_test
+from roboxim_eval.statistics.tables import Arm, Count
 
 
 def test_the_exact_mcnemar_test_agrees_with_statsmodels():
@@ -103,3 +105,22 @@ def test_looks_must_be_as_planned():
         sequential_test(plan, [Pairs(both=6, first=0, second=0, neither=0)])
     with pytest.raises(InvalidRequestError, match="increasing"):
         SequentialPlan(looks=(5, 5))
+
+
+def test_one_training_with_unequal_cells_is_compared_by_the_mean_of_its_cells():
+    """Two cells of 40 episodes and eight of 5, in which the other policy is better: pooled scenes say the opposite."""
+    cells = [f"cell{i}" for i in range(10)]
+
+    def arm(many, few):
+        counts = {
+            cell: Count(successes=many, episodes=40) if i < 2 else Count(successes=few, episodes=5)
+            for i, cell in enumerate(cells)
+        }
+        return Arm(replicates=(counts,))
+
+    pairs = [Pairs(both=28, first=48, second=24, neither=20)]
+    found = condition_difference(arm(38, 0), arm(14, 3), pairs)
+    assert found.pairs is None
+    assert found.interval().value == pytest.approx(0.19 - 0.55)
+    even = Arm(replicates=({cell: Count(successes=5, episodes=12 if cell == "cell0" else 11) for cell in cells},))
+    assert condition_difference(even, even, pairs).pairs is not None  # an excluded episode does not matter

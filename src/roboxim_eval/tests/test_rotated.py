@@ -73,8 +73,16 @@ def test_cards_of_parts_are_joined_and_others_are_refused():
     other = replace(cards[1].experiment.config, about="Another?")
     with pytest.raises(ConfigError, match="more than the held-out set"):
         joined([cards[0], replace(cards[1], experiment=replace(cards[1].experiment, config=other)), cards[2]])
+    foreign = replace(cards[1], experiment=replace(cards[1].experiment, trainer="external"))
+    with pytest.raises(ConfigError, match="different trainers: bc and external"):
+        joined([cards[0], foreign, cards[2]])
     with pytest.raises(ConfigError, match="at least 3 parts"):
         joined(cards[:2])
+
+
+def test_an_experiment_with_combinations_is_not_rotated():
+    with pytest.raises(ConfigError, match="with combinations is not rotated"):
+        rotated(laptop("combinations"), 3, 3, 1)
 
 
 # ------------------------------------------------------------------ coverage

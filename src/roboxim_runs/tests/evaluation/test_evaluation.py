@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +19,8 @@ from roboxim_core.errors import ConfigError, EvaluationError
 from roboxim_policies.learning.checkpoint_file import FORMAT, STATE_NAMES
 from roboxim_runs.episodes import run as episodes
 from roboxim_runs.evaluation import run as evaluation
+from roboxim_runs.evaluation.results import PolicyResult
+from roboxim_runs.evaluation.shown import _scenes
 from roboxim_runs.executors import Done
 from roboxim_runs.policies.specs import choose_policies
 
@@ -231,3 +235,12 @@ def test_a_checkpoint_that_sees_from_another_place_is_warned_of_once_and_in_the_
     assert "was trained" not in evaluate("--policy", "bc", "--checkpoint", "bc", "--task", "pick_cube", *as_trained)
     write_checkpoint(folder / "old", robot="panda")
     assert "was trained" not in evaluate("--policy", "bc", "--checkpoint", "old", "--out", "third")
+
+
+def test_episodes_of_one_scene_are_compared_one_by_one():
+    """A task that draws nothing: each episode of a run meets the same scene, and the k-th ones are compared."""
+    results = [EpisodeResult(episode_id=f"e{i}", index=i, outcome="success") for i in range(3)]
+    found = {name: PolicyResult(name=name, results=tuple(results), folder=Path(name)) for name in ("a", "b")}
+    facts = {name: {f"e{i}": SimpleNamespace(scene="5ce3e" if i < 2 else "0ther") for i in range(3)} for name in found}
+    names = _scenes(found, facts, by_scene=True)
+    assert names["a"] == names["b"] == {"e0": "0", "e1": "1", "e2": "2"}

@@ -2,11 +2,12 @@
 
 import json
 import re
+from dataclasses import replace
 
 import pytest
 
 from roboxim_core.episode import EpisodeResult
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, EvaluationError
 from roboxim_eval.answers.halving import HalvingConfig
 from roboxim_runs.evaluation import sweeping
 from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
@@ -76,3 +77,20 @@ def test_checkpoints_are_named_by_their_folders_and_apart(monkeypatch):
     assert names == ["a-1", "a-2", "broad", "baseline-0"]
     assert all(re.fullmatch(NAME, name) for name in names), "a name that no evaluation takes"
     assert found[0].options == {"checkpoint": "runs/a/checkpoint.npz"}
+
+
+def test_policies_that_only_err_are_not_chosen(calls, tmp_path, monkeypatch):
+    whole = sweeping.evaluate
+
+    def failing(config, **options):
+        found = whole(config, **options)
+        policies = {
+            name: replace(one, results=tuple(replace(r, outcome="error", reason="policy_fault") for r in one.results))
+            for name, one in found.policies.items()
+        }
+        return replace(found, policies=policies)
+
+    monkeypatch.setattr(sweeping, "evaluate", failing)
+    with pytest.raises(EvaluationError, match="good and fair and poor and bad could not be measured"):
+        swept(tmp_path)
+    assert not (tmp_path / "sweep.json").exists()

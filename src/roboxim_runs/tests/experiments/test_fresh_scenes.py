@@ -1,6 +1,7 @@
 """Fresh scenes: drawn once, committed to before the trainings, checked in the card; tuned policies are named."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from click.testing import CliRunner
@@ -15,7 +16,7 @@ from roboxim_eval.experiments.fresh import SceneSeed, committed_text, public_tex
 from roboxim_runs.experiments.benchmark import BenchmarkRunConfig, run_benchmark
 from roboxim_runs.experiments.report import ExperimentFolder, card_page, reproduction
 from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment
-from roboxim_runs.experiments.scenes.again import attested_seed
+from roboxim_runs.experiments.scenes.again import _linked, attested_seed
 from roboxim_runs.experiments.scenes.fresh import in_scenes_of
 
 
@@ -165,3 +166,18 @@ def test_the_experiments_of_a_benchmark_share_the_seed(fakes, config, tmp_path, 
     with pytest.raises(ConfigError, match="seed"):
         run(out=tmp_path / "elsewhere", cards=(path,))
     assert attested.seed != card.fresh.seed
+
+
+def test_trainings_that_took_place_elsewhere_are_not_said_to_follow_the_draw(fakes, config):
+    card = run_experiment(config(fresh=True)).card
+    elsewhere = replace(card, trainings=tuple(replace(one, checkpoint_sha256="") for one in card.trainings))
+    assert "drawn before all 2 trainings" in committed_text(card)
+    assert "drawn at a time that nothing here relates to the trainings" in committed_text(elsewhere)
+
+
+def test_an_interrupted_linking_continues(tmp_path):
+    source, target = tmp_path / "a", tmp_path / "b"
+    source.write_text("weights")
+    _linked(str(source), str(target))
+    _linked(str(source), str(target))
+    assert (target.read_text(), target.samefile(source)) == ("weights", True)
