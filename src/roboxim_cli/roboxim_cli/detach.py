@@ -11,7 +11,7 @@ import time
 import click
 
 from roboxim_bringup.process import describe_exit
-from roboxim_core.errors import RoboximError, UnavailableError
+from roboxim_core.errors import ConfigError, RoboximError, UnavailableError
 
 READY_S = 300.0
 
@@ -23,10 +23,14 @@ def start_detached(run_id: str | None) -> None:
         run_id: Name of the run; none: a new one.
 
     Raises:
+        ConfigError: When a run of this name is alive.
         RoboximError: When the graph could not start, with the end of its log.
     """
     from roboxim_core.user_folders import runtime_dir
+    from roboxim_ros.runs import live_runs
 
+    if any(run.id == run_id for run in live_runs()):  # it writes into the log
+        raise ConfigError(f"a run named '{run_id}' is alive already; choose another --id, or end it with roboxim down")
     name = run_id or f"up-{secrets.token_hex(2)}"
     arguments = [word for word in sys.argv[1:] if word != "--detach"]
     if run_id is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import time
@@ -23,13 +24,20 @@ def command(run_id: str | None, every: bool) -> None:
 
     for run in live_runs() if every else [find_run(run_id)]:
         pids = run.live_pids
-        os.kill(pids[0], signal.SIGTERM)
+        if not pids:
+            continue  # it has ended meanwhile, e.g. with the run before
+        _signal(pids[0], signal.SIGTERM)
         deadline = time.monotonic() + GRACE_S
         while run.live_pids and time.monotonic() < deadline:
             if pids[0] not in run.live_pids:
                 for pid in run.live_pids:
-                    os.kill(pid, signal.SIGTERM)
+                    _signal(pid, signal.SIGTERM)
             time.sleep(0.1)
         for pid in run.live_pids:
-            os.kill(pid, signal.SIGKILL)
+            _signal(pid, signal.SIGKILL)
         click.echo(f"ended run {run.id}")
+
+
+def _signal(pid: int, number: signal.Signals) -> None:
+    with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+        os.kill(pid, number)

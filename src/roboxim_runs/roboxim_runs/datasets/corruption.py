@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of
+from roboxim_core.user_folders import expanded
 from roboxim_datasets.audit.faults import DATASET_FAULTS, DatasetFault, EditableEpisode, choose
 from roboxim_datasets.card import write_card
 from roboxim_datasets.dataset import Dataset
@@ -111,8 +112,7 @@ def corrupt(
         InvalidRequestError: On a rate out of range, or when no episode allows the fault.
         RecorderError: When the copy exists, the source is damaged, or the copy cannot be written.
     """
-    source, out = Path(source), Path(out).absolute()
-    checked_path(out)
+    source, out = expanded(source), checked_path(out)
     kinds = fault_kinds()
     if fault not in kinds:
         raise ConfigError(f"unknown fault '{fault}'; {one_of(kinds, fault)}")

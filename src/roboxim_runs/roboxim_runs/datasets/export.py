@@ -10,6 +10,7 @@ from typing import Literal
 
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, one_of
 from roboxim_core.plain_data.results_log import RUN_FILE
+from roboxim_core.user_folders import expanded
 from roboxim_core.whole_files import write_whole
 from roboxim_datasets.build import replace_whole, restore
 from roboxim_datasets.dataset import EXPORT_FILE
@@ -111,8 +112,8 @@ def export_dataset(
             when the dataset exists, or when it does not pass the gate; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it
             cannot be written.
     """
-    checked_path(target)
-    sources = [Path(source)] if isinstance(source, str | Path) else [Path(path) for path in source]
+    target = checked_path(target)
+    sources = [expanded(path) for path in ([source] if isinstance(source, str | Path) else source)]
     reporter = Reporter(on_event, cancellation)
     for note in filter(None, map(unfinished, sources)):
         reporter.notice(f"{note}; later episodes need another export with --overwrite or overwrite=True")

@@ -185,7 +185,7 @@ def _write_like(
 def _write(
     plan: Plan, target: Path, format: str, options: Any, how: str, reporter: Reporter, **more: Any
 ) -> Written:  # fmt: skip
-    checked_path(target)
+    target = checked_path(target)
     with (
         reporter.resumable("the same call or command continues it"),
         reporter.stage(f"writing {format}", sum(map(len, plan.values())), "episodes") as progress,

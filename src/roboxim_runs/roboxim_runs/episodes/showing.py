@@ -225,7 +225,7 @@ def printed(run: Path, index: int) -> tuple[str, str]:
         index: The episode's index in the run.
     """
     mark = EPISODE_MARK.format(index)
-    logs = sorted((run / "logs").glob("worker-*.log"))
+    logs = sorted((run / "logs").glob("worker-*.log"), key=lambda log: log.stat().st_mtime_ns, reverse=True)
     for log in logs:
         lines = log.read_text(errors="replace").splitlines()
         if mark not in lines:

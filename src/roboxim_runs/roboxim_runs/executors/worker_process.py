@@ -73,11 +73,12 @@ class WorkerProcess:
         self._connection: Connection[Any, Any] | None = None
         self._received_at = 0.0
         self._kept = kept if work.leaves_nothing else None
-        self._idle = False
+        self._idle, self._printed_before = False, 0
 
     def start(self) -> None:
         """Start the process, or continue in one of an earlier work; see `Place.start`."""
-        Path(self.log).write_bytes(b"")
+        Path(self.log).touch()  # a continued run keeps what was printed before
+        self._printed_before = Path(self.log).stat().st_size
         if self._kept is not None and (found := self._kept.take()) is not None:
             try:
                 self._begin(found)
@@ -203,6 +204,6 @@ class WorkerProcess:
         with contextlib.suppress(subprocess.TimeoutExpired):  # let it exit by itself, for its own exit code
             self.process.wait(EXIT_S)
         stop([self.process])
-        lines = Path(self.log).read_text(errors="replace").strip().splitlines()
+        lines = Path(self.log).read_bytes()[self._printed_before :].decode(errors="replace").strip().splitlines()
         tail = "\n".join(lines[-LOG_LINES:])
         return describe_exit(self.process.returncode) + (f"; the end of {self.log}:\n{tail}" if tail else "")

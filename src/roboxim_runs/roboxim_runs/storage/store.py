@@ -261,7 +261,7 @@ def local_sources(places: Iterable[Path | str]) -> Iterator[list[Path]]:
 
 def _download(url: str, folder: Path) -> None:
     with Store.opened(url) as store:
-        names = store.find()
+        names = [name for name in store.find() if not name.endswith(".partial")]  # a killed upload leaves those
         if not names:
             raise ConfigError(f"{url} has nothing in it")
         for name in SMALL_FILES:
@@ -274,6 +274,22 @@ def _download(url: str, folder: Path) -> None:
         for name in names:
             if not (folder / name).exists() and str(Path(name).parent) not in known:
                 store.get(name, folder / name)
+    if (folder / SUMS_FILE).exists():
+        _require_sums(folder, url)
+
+
+def _require_sums(folder: Path, url: str) -> None:
+    """Compare a downloaded dataset with its checksums.
+
+    Raises:
+        RecorderError: ``BAG_DAMAGED`` naming the first file that is missing or another one.
+    """
+    for line in (folder / SUMS_FILE).read_text().splitlines():
+        expected, _, name = line.partition("  ")
+        if not (folder / name).is_file() or file_sha256(folder / name) != expected:
+            raise RecorderError(
+                f"{url}/{name} is missing, or not the file that was stored; repeat the upload", ErrorCode.BAG_DAMAGED
+            )
 
 
 def _gather(run: Path, folder: Path) -> None:

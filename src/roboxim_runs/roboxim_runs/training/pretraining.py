@@ -18,6 +18,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.whole_files import write_whole
 from roboxim_policies.learning.config import LearningConfig
 from roboxim_recorder.bag import BagReader
+from roboxim_recorder.run_bags import run_bags
 from roboxim_runs.datasets.export import ExportConfig, export_dataset
 from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.events import OnEvent, Reporter, ignore
@@ -118,7 +119,7 @@ def pretrain(
     training = train_policy(
         out / "rlds", out / "training", config.learning, on_event=on_event, cancellation=cancellation
     )
-    bags = [out / "demos" / result.bag for result in made.kept]
+    bags = run_bags(out / "demos").paths  # as exported: all that the folder has
     reporter = Reporter(on_event, cancellation)
     with reporter.stage("counting what was demonstrated", len(bags), "episodes") as report:
         infos = []

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from roboxim_core.config import from_plain, load_yaml, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json_object
+from roboxim_core.user_folders import expanded
 from roboxim_core.whole_files import write_whole
 from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_datasets.formats import open_dataset
@@ -100,6 +101,7 @@ def train_policy(
     settings = config or (read_config("", None, start=Path(start)) if start else BCConfig())
     folder = checked_path(out or f"runs/{settings.FAMILY}")
     checked_path(dataset)
+    dataset = expanded(dataset)
     if folder.is_file():
         make_folder(folder)  # says so
     from roboxim_policies.learning.checkpoint import load_checkpoint  # importing JAX takes a second

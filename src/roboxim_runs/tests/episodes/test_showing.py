@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from dataclasses import replace
@@ -135,6 +136,10 @@ def test_what_the_policy_printed_is_told_by_episode(tmp_path: Path) -> None:
     assert printed(tmp_path, 1)[0] == "hello"
     log.write_text(f"{first}\n" + "\n".join(map(str, range(1000))))
     assert "600 lines left out" in printed(tmp_path, 1)[0]
+    retry = tmp_path / "logs/worker-10.log"
+    retry.write_text(f"{first}\nanother worker did it again\n")
+    os.utime(log, ns=(1, 1))
+    assert printed(tmp_path, 1)[0] == "another worker did it again"
 
 
 def test_the_command_prints_a_summary_or_writes_a_page(evaluated: Path, tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ def test_a_file_is_there_when_it_is_whole_and_comes_back_equal(url, tmp_path):
 def test_a_run_is_read_back_from_its_store(url, tmp_path):
     run = write_run(tmp_path / "run", url, range(4))
     with local_sources([url]) as [folder]:
-        assert (folder / result(2).bag / "x_0.mcap").read_text() == "recording 2"
+        assert (folder / result(2).bag / "x_0.mcap").read_bytes() == b"recording 2" + MCAP0_MAGIC
         assert len(RunFolder(folder).results()) == 4
     assert not folder.exists(), "the copies are temporary"
     with local_sources([run]) as [folder]:
@@ -122,7 +122,7 @@ def test_shards_in_a_store_are_merged_without_their_bags(url, tmp_path):
     assert (merged.episodes, merged.missing) == (4, ())
     with local_sources([url]) as [folder]:
         assert [one.index for one in RunFolder(folder).results()] == [0, 1, 2, 3]
-        assert (folder / result(3).bag / "x_0.mcap").read_text() == "recording 3"
+        assert (folder / result(3).bag / "x_0.mcap").read_bytes() == b"recording 3" + MCAP0_MAGIC
 
 
 def test_a_dataset_is_uploaded_with_its_checksums(url, tmp_path):
@@ -134,6 +134,11 @@ def test_a_dataset_is_uploaded_with_its_checksums(url, tmp_path):
         assert {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} == {
             "data/x", "info.json", "SHA256SUMS",
         }  # fmt: skip
+    (tmp_path / "other").write_text("[]")
+    with Store.opened(url) as store:
+        store.put(tmp_path / "other", "info.json")
+    with pytest.raises(RecorderError, match=r"info.json is missing, or not the file"), local_sources([url]):
+        pass
 
 
 def test_a_dataset_replaces_no_other_one(url, tmp_path):
@@ -234,7 +239,7 @@ def test_a_store_belongs_to_one_run(url, tmp_path):
     with pytest.raises(ConfigError, match=r"holds 3 bags of this run that .*/c does not know: .*copy run.json"):
         run_into(url, tmp_path / "c")
     with local_sources([url]) as [folder]:
-        assert (folder / result(2).bag / "x_0.mcap").read_text() == "recording 2 of seed 0"
+        assert (folder / result(2).bag / "x_0.mcap").read_bytes() == b"recording 2 of seed 0" + MCAP0_MAGIC
     assert run_into(url, tmp_path / "a") == [], "the run itself continues"
     assert run_into(url, tmp_path / "c", repair=True) == [0, 1, 2]
 

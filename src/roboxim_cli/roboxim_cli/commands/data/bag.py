@@ -232,8 +232,10 @@ def record(topics: tuple[str, ...], out: Path, duration: float | None, run_id: s
     if out.exists():
         raise ConfigError(f"{out} exists already; choose another --out")
     wanted = [absolute(topic) for topic in topics]
-    recording = LiveRecording(out, lambda name: look_up(name, "msg"), wanted)
-    with attached(run_id, domain) as peer, recording:
+    with (  # in this order: nothing is written without a run
+        attached(run_id, domain) as peer,
+        LiveRecording(out, lambda name: look_up(name, "msg"), wanted) as recording,
+    ):
         peer.settle()
         end = time.monotonic() + (duration or float("inf"))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 import subprocess
 import sys
@@ -119,9 +120,23 @@ def _renderer() -> str:
     return "tiny"
 
 
+CLOSING_S = 60.0
+"""Time that a stopped step has to save its state [s]."""
+
+
 def _step(*arguments: str) -> None:
     """Print a roboxim command as a user would type it, and run it in a new process."""
     click.echo(f"\n$ roboxim {shlex.join(arguments)}")
-    done = subprocess.run([sys.executable, "-m", "roboxim_cli", *arguments], check=False)
-    if done.returncode:
-        raise SystemExit(done.returncode)
+    with subprocess.Popen([sys.executable, "-m", "roboxim_cli", *arguments]) as step:
+        try:
+            code = step.wait()
+        except BaseException as end:
+            if not isinstance(end, KeyboardInterrupt):  # Ctrl-C reaches the step too
+                step.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired, KeyboardInterrupt):
+                step.wait(CLOSING_S)
+            if step.poll() is None:
+                step.kill()
+            raise
+    if code:
+        raise SystemExit(code)

@@ -51,8 +51,9 @@ def command(
     from roboxim_runs.episodes.pictures import write_contact_sheet
     from roboxim_runs.episodes.rerendering import RerenderConfig, find_bags, rerender
     from roboxim_runs.episodes.task_choice import camera_words
+    from roboxim_runs.storage.folder import checked_path
 
-    bags = find_bags(sources)
+    bags, out = find_bags(sources), checked_path(out)
     for word in textures:
         if "=" not in word:
             raise ConfigError(f"--texture is SURFACE=NAME, e.g. table=marble, got '{word}'")
