@@ -26,7 +26,7 @@ RGB = tuple[float, float, float]
 LIGHT_KINDS = ("sun", "lamp")
 BACKGROUNDS = ("room", "plain")
 LEAVING = ("clamp", "fail")
-RESERVED_NAMES = ("robot", "table", "tcp", "world")
+RESERVED_NAMES = ("robot", "table", "tcp", "world", "floor", "wall", "pedestal")
 """Names of bodies and frames that every scene has; no entity may have one of them."""
 
 

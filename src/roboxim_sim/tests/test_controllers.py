@@ -151,7 +151,7 @@ def test_path_and_goal_tolerances_are_enforced(robot: Robot) -> None:
 
 @pytest.mark.ros
 def test_an_obstacle_violates_the_goals_tolerance(robot: Robot) -> None:
-    robot.load(EntitySpec(name="wall", model="cabinet", fixed=True, pose=Pose(position=(0.45, 0.35, 0.3))))
+    robot.load(EntitySpec(name="barrier", model="cabinet", fixed=True, pose=Pose(position=(0.45, 0.35, 0.3))))
     result = robot.follow(goal(HOME + [1.2, 0, 0, 0, 0, 0, 0], seconds=1.5))
     assert result.error_code == Result.GOAL_TOLERANCE_VIOLATED
     assert "something is in the way" in result.error_string

@@ -108,3 +108,17 @@ set:
     for drawn in of.values():
         assert drawn[:2] == drawn[2:]
         assert all(first != second for first, second in zip(*drawn[:2], strict=True))
+
+
+def test_a_camera_that_the_task_varies_keeps_its_place_under_a_look(draw) -> None:
+    """Looks place it elsewhere; a drawn shift that is not applied would be a false value to group by."""
+    shift = "{workspace: {lower: [0.05, 0.05, 0.05], upper: [0.1, 0.1, 0.1]}}"
+    cameras = f"cameras: {{names: [workspace], shift_m: {shift}, exposure_ev: {{workspace: {{lower: 1, upper: 2}}}}}}"
+    alone, under = (
+        draw(0, parse_task_config(f"reset: {{{looks}{cameras}}}")) for looks in ("", "look: {set: varied}, ")
+    )
+    assert under.task.drawn["look"]
+    assert under.scene.cameras == alone.scene.cameras
+    assert under.scene.cameras[0].noise.exposure_ev == pytest.approx(
+        float(under.task.drawn["camera.workspace.exposure_ev"]), abs=0.01
+    )

@@ -236,7 +236,13 @@ def scaled(model: ObjectModel, factor: float) -> ObjectModel:
         return replace(link, mass=link.mass * factor**3, collision=collision, visual=visual)
 
     def grasps_of(grasps: tuple[GraspAnnotation, ...]) -> tuple[GraspAnnotation, ...]:
-        return tuple(replace(grasp, pose=moved(grasp.pose), width_m=grasp.width_m * factor) for grasp in grasps)
+        return tuple(
+            replace(
+                grasp, pose=moved(grasp.pose), width_m=grasp.width_m * factor,
+                opening_m=grasp.opening_m + grasp.width_m * max(factor - 1, 0),  # the same room beside a larger object
+            )
+            for grasp in grasps
+        )  # fmt: skip
 
     joints = []
     for joint in model.joints:

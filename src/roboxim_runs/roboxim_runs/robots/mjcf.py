@@ -85,15 +85,19 @@ class _Reader:
         self._efforts = dict(self._motor_efforts())
         self.made = ElementTree.Element("robot", {"name": self.root.get("model", "robot")})
 
-    def _read_defaults(self, element: Element, above: dict[str, dict[str, str]]) -> None:
+    def _read_defaults(
+        self, element: Element, above: dict[str, dict[str, str]], *, nested: bool = False
+    ) -> None:  # fmt: skip
         """Keep the attributes that a class of elements has where an element does not say otherwise."""
         mine = {tag: dict(values) for tag, values in above.items()}
         for child in element:
             if child.tag != "default":
                 mine.setdefault(child.tag, {}).update(child.attrib)
         self._classes[element.get("class", "main")] = mine
+        if not nested:  # it holds everywhere, whatever its name
+            self._classes["main"] = self._classes["main"] | mine
         for child in element.findall("default"):
-            self._read_defaults(child, mine)
+            self._read_defaults(child, mine, nested=True)
 
     def _full(self, element: Element, inherited: str) -> dict[str, str]:
         """Return an element's attributes together with those of its class."""
@@ -161,6 +165,8 @@ class _Reader:
             raise ConfigError(f"{self.path}: joint '{given.get('name')}' is a {kind}; expected a hinge or a slide")
         if any(_numbers(given, "pos", 3, default="0 0 0")):
             raise ConfigError(f"{self.path}: joint '{given.get('name')}': pos must be 0, the origin of its body")
+        if any(_numbers(given, "ref", 1, default="0")):
+            raise ConfigError(f"{self.path}: joint '{given.get('name')}': ref is not read; turn the body, and state 0")
         kind = "fixed" if found is None else kinds[given.get("type", "hinge")]
         lower, upper = _numbers(given, "range", 2, default="0 0")
         if kind == "revolute":
@@ -215,7 +221,12 @@ class _Reader:
             if mesh is None or not mesh.get("file"):
                 raise ConfigError(f"{self.path}: no mesh '{name}' with a file in <asset>")
             file = str(Path(self._meshes_in) / mesh.get("file", ""))
-            scale = _text(_numbers(mesh.attrib, "scale", 3, default="1 1 1"))
+            stated = self._full(mesh, "main")
+            if moved := {"refpos", "refquat"} & stated.keys():
+                raise ConfigError(
+                    f"{self.path}: mesh '{name}': {' and '.join(sorted(moved))} are not read; bake them in"
+                )
+            scale = _text(_numbers(stated, "scale", 3, default="1 1 1"))
             return ElementTree.Element("mesh", {"filename": file, "scale": scale})
         if kind not in _SIZES:
             kinds = "mesh, box, sphere, cylinder or capsule"

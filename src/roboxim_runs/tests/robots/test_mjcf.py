@@ -130,6 +130,7 @@ def test_degrees_are_the_default_unit(tmp_path: Path) -> None:
         ('<body name="b"><freejoint/></body>', "body 'b': expected at most one joint"),
         ('<body name="b"><joint type="ball"/></body>', "is a ball; expected a hinge or a slide"),
         ('<body name="b"><joint name="j" pos="0 0 1"/></body>', "joint 'j': pos must be 0"),
+        ('<body name="b"><joint name="j" ref="0.5"/></body>', "joint 'j': ref is not read"),
         ('<body name="b"><geom size="0.1"/></body>', "'b' has no <inertial>"),
         ('<body><geom size="0.1"/></body>', "a <body> without name"),
         ('<body name="b" xyaxes="1 0 0 0 1 0"/>', "xyaxes of a <body> is not read; use quat or euler or axisangle"),
@@ -149,6 +150,18 @@ def test_degrees_are_the_default_unit(tmp_path: Path) -> None:
 def test_what_is_not_read_is_named(tmp_path: Path, more: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         expanded(written(tmp_path, more=more))
+
+
+def test_defaults_of_meshes_and_of_a_named_top_class_apply(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    text = path.read_text().replace("<default><geom", '<default class="arm"><mesh scale="0.001 0.002 0.001"/><geom')
+    path.write_text(text.replace(' scale="0.001 0.001 0.001"', ""))
+    urdf = expanded(path)
+    assert urdf.find("link/visual/geometry/mesh").get("scale") == "0.001 0.002 0.001"
+    assert urdf.find("link/collision/geometry/mesh") is None, "contype is 0 by default"
+    path.write_text(path.read_text().replace('file="plate.stl"', 'file="plate.stl" refpos="0 0 0.1"'))
+    with pytest.raises(ConfigError, match="mesh 'plate': refpos are not read"):
+        expanded(path)
 
 
 def test_mujoco_places_every_body_alike(tmp_path: Path) -> None:

@@ -80,15 +80,17 @@ class LookReset(ResetComponent):
 
 def _viewed(scene: SceneSpec, view: str, context: ResetContext) -> SceneSpec:
     """Return the scene with the viewed camera at another place, unless the task's cameras vary themselves."""
-    varied = context.config.reset["cameras"].views if "cameras" in context.config.reset else {}
-    if VIEWED in varied:
+    cameras = context.config.reset.get("cameras")
+    if cameras and any(
+        VIEWED in given for given in (cameras.views, cameras.shift_m, cameras.turn_rad, cameras.exposure_ev)
+    ):
         return scene
     context.record(f"camera.{VIEWED}", Choice(values=(view,)), view, always=True)
     file = load_camera(view)
-    cameras = [
+    placed = [
         with_noise_seed(replace(file, name=VIEWED, parent=camera_parent(file, context.arm)), context.seed)
         if camera.name == VIEWED
         else camera
         for camera in scene.cameras
     ]
-    return replace(scene, cameras=tuple(cameras))
+    return replace(scene, cameras=tuple(placed))

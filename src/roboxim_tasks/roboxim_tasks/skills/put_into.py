@@ -48,6 +48,8 @@ from roboxim_tasks.standing import nothing_else_put, rests_on, stays_upright, up
 DROPS_M = (0.01, 0.03, 0.05)
 RIM_M = 0.01
 """Largest height of the origin of an object inside above the rim [m]."""
+LEVEL = 0.999
+"""Smallest cosine of an angle that counts as none."""
 OPEN_SHARE = 0.5
 """Share of its travel by which a drawer must be open for putting an object into it."""
 
@@ -220,6 +222,14 @@ def interior_arguments(model: ObjectModel, name: str) -> dict[str, Scalar]:
         frame = object_link_poses(model, {})[joint.parent] @ joint.pose
         axis = frame.rotation.apply(joint_motion(joint, 1.0).position)
     x, y, depth_m = interior.size
+    along = here.rotation.apply([1.0, 0.0, 0.0])
+    if max(abs(along[0]), abs(along[1])) < LEVEL or here.rotation.apply([0.0, 0.0, 1.0])[2] < LEVEL:
+        raise ConfigError(
+            f"object '{model.id}': the interior '{name}' is turned; its sides must be along x and y of the object, its "
+            "floor level"
+        )
+    if abs(along[1]) > abs(along[0]):  # by a quarter turn
+        x, y = y, x
     return {
         "floor_x_m": here.position[0], "floor_y_m": here.position[1], "floor_z_m": here.position[2],
         "depth_m": depth_m, "half_x_m": x / 2, "half_y_m": y / 2, "joint": joint.name if joint else "",
