@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -18,8 +19,8 @@ from roboxim_ros import runs
 
 STEP = """
 import sys, time
-print("begun", flush=True)
 try:
+    print("begun", flush=True)
     time.sleep(60)
 except KeyboardInterrupt:
     time.sleep(1)  # a checkpoint is written
@@ -39,11 +40,16 @@ def test_a_stopped_demo_lets_its_step_save(tmp_path):
     step.write_text(f"#!{sys.executable}\n{STEP}")
     step.chmod(0o755)
     process = subprocess.Popen(
-        [sys.executable, "-c", DEMO, str(step), str(saved)], start_new_session=True, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", DEMO, str(step), str(saved)],
+        start_new_session=True,
+        stdout=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # the tests may run in the background
     )
     assert process.stdout is not None
     while "begun" not in process.stdout.readline():
         assert process.poll() is None
+    time.sleep(0.5)  # the demo waits for it now
     os.killpg(process.pid, signal.SIGINT)
     process.wait(60)
     assert saved.read_text() == "saved"
