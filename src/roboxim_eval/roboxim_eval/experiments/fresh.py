@@ -83,7 +83,7 @@ def committed_text(card: Card) -> str:
     trainings = len(card.trainings)
     when = f"after {fresh.trained_before} of {trainings} trainings were finished"
     if any(not training.checkpoint_sha256 for training in card.trainings):
-        when = "at a time that nothing here relates to the trainings, of which some took place elsewhere"
+        when = "before or after the trainings, which is unknown because some took place elsewhere"
     elif not fresh.trained_before:
         when = f"before all {trainings} trainings" if trainings else "before the evaluations"
     return (

@@ -224,7 +224,7 @@ class _Reader:
             stated = self._full(mesh, "main")
             if moved := {"refpos", "refquat"} & stated.keys():
                 raise ConfigError(
-                    f"{self.path}: mesh '{name}': {' and '.join(sorted(moved))} are not read; bake them in"
+                    f"{self.path}: mesh '{name}': {' and '.join(sorted(moved))} are not read; move the mesh's points"
                 )
             scale = _text(_numbers(stated, "scale", 3, default="1 1 1"))
             return ElementTree.Element("mesh", {"filename": file, "scale": scale})

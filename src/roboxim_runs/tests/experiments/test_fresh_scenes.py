@@ -172,7 +172,7 @@ def test_trainings_that_took_place_elsewhere_are_not_said_to_follow_the_draw(fak
     card = run_experiment(config(fresh=True)).card
     elsewhere = replace(card, trainings=tuple(replace(one, checkpoint_sha256="") for one in card.trainings))
     assert "drawn before all 2 trainings" in committed_text(card)
-    assert "drawn at a time that nothing here relates to the trainings" in committed_text(elsewhere)
+    assert "drawn before or after the trainings, which is unknown" in committed_text(elsewhere)
 
 
 def test_an_interrupted_linking_continues(tmp_path):
