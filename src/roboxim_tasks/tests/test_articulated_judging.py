@@ -64,12 +64,12 @@ def test_a_rotation_needs_the_object_let_go_and_where_it_was():
     assert fold(of, [*turn, *away])[-1].reason == "moved_away"
 
 
-def button(seq, now, highest, other=0.0, contacts=(BY_FINGER,)):
+def button(seq, now, highest, other=0.0, contacts=(BY_FINGER,), other_now=0.0):
     return tick(
         seq,
         EntityState(name="target", joint_names=("press",), joint_positions=(now,), joint_lowest=(0.0,),
                     joint_highest=(highest,)),
-        EntityState(name="distractor_1", joint_names=("press",), joint_positions=(0.0,), joint_lowest=(0.0,),
+        EntityState(name="distractor_1", joint_names=("press",), joint_positions=(other_now,), joint_lowest=(0.0,),
                     joint_highest=(other,)),
         contacts=contacts,
     )  # fmt: skip
@@ -231,3 +231,16 @@ def test_a_button_to_be_pushed_twice_must_come_up_in_between():
     verdicts = fold(twice, [*held, up, button(5, 0.011, 0.011)])
     assert [verdict.success for verdict in verdicts] == [False] * 5 + [True]
     assert verdicts[4].reason == "step_2_not_pressed"
+
+
+def test_a_press_counts_from_the_first_tick_of_its_turn_and_never_before():
+    on_other = (replace(BY_FINGER, body_a="distractor_1", link_a="cap", body_b="robot", link_b="finger"),)
+    first = [button(0, 0.0, 0.0), button(1, 0.011, 0.011)]
+    at_once = fold(both_buttons("fixed"), [*first, button(2, 0.0, 0.0, other=0.011, contacts=on_other)])
+    assert at_once[-1].success, "its turn began with the tick before"
+    early = [button(0, 0.0, 0.0), button(1, 0.011, 0.011, other=0.011, other_now=0.011)]
+    held = button(2, 0.0, 0.0, other=0.011, contacts=on_other, other_now=0.011)
+    up, again = button(3, 0.0, 0.0), button(4, 0.0, 0.0, other=0.011, contacts=on_other)
+    verdicts = fold(both_buttons("fixed"), [*early, held, up, again])
+    assert [verdict.success for verdict in verdicts] == [False] * 4 + [True]
+    assert verdicts[2].reason == "step_2_not_pressed"

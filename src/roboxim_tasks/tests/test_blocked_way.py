@@ -123,5 +123,9 @@ def test_a_task_says_what_its_rows_lack(draw):
         draw(0, parse_task_config(text.format(1, "{}")))
     with pytest.raises(ConfigError, match="no role 'plate'"):
         draw(0, parse_task_config(text.format(2, "{between: [[tool, plate]]}")))
+    for role in ("distractor_2", "distractor_4"):
+        some = text.format(3, f"{{between: [[tool, {role}]]}}").replace("maximum: 3", "maximum: 4")
+        with pytest.raises(ConfigError, match=f"no role '{role}'.*distractor_3"):
+            draw(0, parse_task_config(some))
     with pytest.raises(ConfigError, match="row >= 1"):
         COMPONENTS["blocked_way"].Config(row=0)

@@ -80,6 +80,9 @@ reset:
     assert 0.5 <= scene.entity("support").pose.position[0] <= 0.6
     with pytest.raises(ConfigError, match="no role 'button'"):
         draw(0, parse_task_config(text.replace("{far}", "far").replace("{role}", "button")))
+    crowded = text.replace("{far}", "far").replace("{role}", "distractor_1") + "distractors: {minimum: 1, maximum: 1}\n"
+    with pytest.raises(ConfigError, match="no role 'distractor_1' that 'objects' places"):
+        draw(0, parse_task_config(crowded))
     with pytest.raises(ConfigError, match="no interaction area 'far'"):
         parse_task_config(text.replace("{far}", "distant").replace("{role}", "support"))
     with pytest.raises(ConfigError, match="not a range"):

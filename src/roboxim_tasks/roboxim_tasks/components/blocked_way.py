@@ -29,7 +29,8 @@ class BlockedWayConfig:
     """The blocked paths and the rows that block them."""
 
     between: tuple[tuple[str, str], ...] = ((TOOL, "target"),)
-    """Paths from one end to another. An end is a role of the task, or ``tool``: the initial tool centre point."""
+    """Paths from one end to another. An end is a role of the task, ``tool`` (the initial tool centre point), or a
+    distractor that every episode has and no row uses, e.g. ``distractor_3`` after one row of two."""
     row: int = 2
     """Number of distractors across each path; the others stay where the component ``distractors`` has put them."""
     share: Choice = Choice(lower=0.0, upper=1.0)
@@ -81,8 +82,9 @@ class BlockedWayReset(ResetComponent):
 
     @classmethod
     def check(cls, config: BlockedWayConfig, roles: Sequence[str], task: TaskConfig) -> None:
-        """Refuse paths between unknown ends, and rows of more distractors than every episode has."""
-        ends = (TOOL, *roles, *(distractor_role(number + 1) for number in range(task.distractors.maximum)))
+        """Refuse paths to what an episode may lack or what stands in a row, and more rows than distractors."""
+        standing = range(config.needed, task.distractors.minimum)
+        ends = (TOOL, *roles, *(distractor_role(number + 1) for number in standing))
         for end in (end for way in config.between for end in way):
             if end not in ends:
                 raise ConfigError(f"between: no role '{end}'; {one_of(ends, end)}")

@@ -9,7 +9,6 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import SceneSpec
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
-from roboxim_tasks.roles import distractor_role
 from roboxim_tasks.task_config import TaskConfig
 
 AREAS = {
@@ -61,11 +60,10 @@ class InteractionAreaReset(ResetComponent):
 
     @classmethod
     def check(cls, config: InteractionAreaConfig, roles: Sequence[str], task: TaskConfig) -> None:
-        """Refuse roles that the task's skill lacks."""
-        known = (*roles, *(distractor_role(n + 1) for n in range(task.distractors.maximum)))
+        """Refuse roles that the task's skill lacks; distractors have no area."""
         for role in config.roles:
-            if role not in known:
-                raise ConfigError(f"roles: no role '{role}'; {one_of(known, role)}")
+            if role not in roles:
+                raise ConfigError(f"roles: no role '{role}' that 'objects' places; {one_of(roles, role)}")
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
         """Choose an area."""

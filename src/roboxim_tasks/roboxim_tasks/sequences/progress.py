@@ -3,7 +3,8 @@
 - A step is judged by its own skill's evaluator, which begins when the step's turn begins. With the order ``any`` it is
   the turn of every step that is not done; with ``fixed``, of the first one.
 - A step is done once its evaluator has held for its ``hold_s``. In a fixed order it must have been unsolved at some
-  tick of its turn, so that a later step done before its turn does not count.
+  tick of its turn, so that a later step done before its turn does not count. An event, such as a press, is looked for
+  only in its turn; so it counts there from the first tick on.
 - A step that is done must hold at the end, unless a later step moves its objects on (`superseded`).
 - The sequence is solved while all steps are done and hold.
 
@@ -128,10 +129,12 @@ class Progress:
     def _begin(self, state: StateRecord) -> None:
         """Begin the turn of the next step, or again of all that are left."""
         known = {e.name: e for e in self._initial.entities if e.name not in self._handled}
-        start = replace(state, entities=tuple(known.get(entity.name, entity) for entity in state.entities))
         for step in (step for step in self._steps if not step.done):
-            step.evaluator = SKILLS[step.task.skill].evaluator(step.task, start)
-            step.unsolved, step.since_ns = False, None
+            skill = SKILLS[step.task.skill]
+            own = set(own_objects(step.task).values()) if skill.event else set()
+            start = tuple(e if e.name in own else known.get(e.name, e) for e in state.entities)
+            step.evaluator = skill.evaluator(step.task, replace(state, entities=start))
+            step.unsolved, step.since_ns = skill.event, None
             if not self._any:
                 break
 

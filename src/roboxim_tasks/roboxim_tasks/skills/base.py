@@ -43,6 +43,8 @@ class Skill(ABC):
     rotations: ClassVar[int] = 2
     """Directions in which the skill turns the tool beside moving it: 2 if the tool points down at any yaw, 3 if it
     leans to any side. Arms of five joints have 2, see `RobotModel.rotations`."""
+    event: ClassVar[bool] = False
+    """Whether success is an event that need not last, such as a press; in a longer task it counts from its turn on."""
     moving_fingers: ClassVar[int] = 1
     """Fingers that must move: 1 if it only grasps or presses, 2 if it relies on both moving alike."""
     Parameters: ClassVar[type]

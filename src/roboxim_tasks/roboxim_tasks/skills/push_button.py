@@ -73,6 +73,7 @@ class PushButton(Skill):
     roles = {"target": Role(affordance="pressable", models=("button",))}
     templates = ("Push the {target}", "Press the {target}", "Press down on the {target}")
     max_steps = 100
+    event = True
     Parameters = PushButtonParameters
 
     def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
