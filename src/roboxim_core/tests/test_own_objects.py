@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.check import check_object
 from roboxim_core.models.hulls import load_mesh
 from roboxim_core.models.urdf import mesh_path, urdf_object
+from roboxim_core.specs import MaterialSpec
+from roboxim_core.vision.textures import pixels
 
 URDF = """<?xml version="1.0"?>
 <robot name="box" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="base">
@@ -149,3 +152,19 @@ def test_a_fixed_joint_needs_no_axis_and_a_link_names_the_material_of_another(pa
         'name="f"', 'name="g"').replace('"b"', '"c"'))  # fmt: skip
     ((link,), _) = urdf_object(package / "urdf" / "box.urdf")
     assert [visual.material.color for visual in link.visual[1:]] == [(0.1, 0.2, 0.3)] * 2
+
+
+def test_the_image_of_a_material_is_its_texture_and_must_exist(package):
+    """As in RViz, an image stands in place of the colour; `package://` names it, and a link may name the material."""
+    mine = '<color rgba="1 0 0 1"/><texture filename="package://my_objects/meshes/print.png"/>'
+    shape = '<visual><geometry><box size="1 1 1"/></geometry><material name="mine">{}</material></visual>'
+    joint = '<joint name="f" type="fixed"><parent link="base"/><child link="b"/></joint>'
+    written(package, more=f'<link name="b">{shape.format(mine)}{shape.format("")}</link>{joint}')
+    file = package / "urdf" / "box.urdf"
+    with pytest.raises(ConfigError, match=r"material 'mine' needs the <texture> .*print\.png: no such file"):
+        urdf_object(file)
+    Image.new("RGB", (4, 4), (0, 0, 255)).save(package / "meshes" / "print.png")
+    ((link,), _) = urdf_object(file)
+    for visual in link.visual[1:]:
+        assert visual.material == MaterialSpec(color=(1, 1, 1), texture=str(package / "meshes" / "print.png"))
+        assert pixels(visual.material.texture)[0, 0].tolist() == [0, 0, 255]

@@ -190,7 +190,7 @@ class ObjectConfig(ObjectNotes):
         names = [self.urdf]
         for link in self.resolved(folder).links:
             names += [shape.mesh for shape in link.collision] + [visual.mesh for visual in link.visual]
-            names += [v.material.texture for v in link.visual if Path(v.material.texture).suffix in _IMAGES]
+            names += [v.material.texture for v in link.visual if Path(v.material.texture).suffix.lower() in _IMAGES]
         found = [(folder / name).resolve() for name in dict.fromkeys(names) if name]
         for file in found:
             found += [other for other in mesh_references(file).values() if other not in found]
@@ -264,7 +264,7 @@ Piece = TypeVar("Piece", Shape, Visual)
 
 
 def _absolute(shape: Piece, folder: Path) -> Piece:
-    if isinstance(shape, Visual) and Path(shape.material.texture).suffix in _IMAGES:
+    if isinstance(shape, Visual) and Path(shape.material.texture).suffix.lower() in _IMAGES:
         texture = str((folder / shape.material.texture).resolve())
         shape = replace(shape, material=replace(shape.material, texture=texture))
     if not shape.mesh:
@@ -273,7 +273,7 @@ def _absolute(shape: Piece, folder: Path) -> Piece:
     return replace(shape, mesh=hull_file(file) if isinstance(shape, Shape) else file)
 
 
-_IMAGES = (".png", ".jpg", ".jpeg")
+_IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp")
 
 
 def _bounds(links: tuple[LinkModel, ...], joints: tuple[JointModel, ...], object_id: str) -> Array:

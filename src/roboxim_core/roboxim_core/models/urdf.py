@@ -104,7 +104,7 @@ def _parsed(text: bytes) -> ElementTree.Element:
 
 
 def mesh_path(name: str, urdf: Path) -> Path:
-    """Return the file that a URDF's ``<mesh filename>`` names; the first candidate if none exists.
+    """Return the file that a ``filename`` of a URDF's mesh or texture names; the first candidate if none exists.
 
     ``package://PACKAGE/...`` is searched in ROS's folder layout: in a folder above the URDF that is named like the
     package or has its ``package.xml``, then beside such folders, then in ``ROS_PACKAGE_PATH`` and the ``share`` folders
@@ -213,7 +213,11 @@ def _shape(element: ElementTree.Element, path: Path) -> Shape:
 def urdf_materials(root: ElementTree.Element) -> dict[str, ElementTree.Element]:
     """Return the materials of a URDF by name: as in ROS, one that a link defines can be named by others."""
     stated = [*root.findall("material"), *root.iterfind("link/visual/material")]
-    return {material.get("name", ""): material for material in reversed(stated) if material.find("color") is not None}
+    return {material.get("name", ""): material for material in reversed(stated) if _defined(material)}
+
+
+def _defined(material: ElementTree.Element) -> bool:
+    return material.find("color") is not None or material.find("texture") is not None
 
 
 def urdf_visual(element: ElementTree.Element, path: Path, materials: dict[str, ElementTree.Element]) -> Visual:
@@ -224,15 +228,22 @@ def urdf_visual(element: ElementTree.Element, path: Path, materials: dict[str, E
         path: The URDF.
         materials: Its materials by name.
 
+    As in RViz, a material's image stands in place of its colour.
+
     Raises:
-        ConfigError: When it has no valid geometry, origin or colour.
+        ConfigError: When it has no valid geometry, origin, colour or image.
     """
     kind, size, mesh, scale = _geometry(element, path)
     material = element.find("material")
-    if material is not None and material.find("color") is None:
+    if material is not None and not _defined(material):
         material = materials.get(material.get("name", ""), material)
     surface = MaterialSpec()
-    if material is not None and (color := material.find("color")) is not None:
+    if material is not None and (image := material.find("texture")) is not None:
+        file = mesh_path(image.get("filename", ""), path)
+        if not file.is_file():
+            raise ConfigError(f"{path}: material '{material.get('name', '')}' needs the <texture> {file}: no such file")
+        surface = MaterialSpec(color=(1.0, 1.0, 1.0), texture=str(file))
+    elif material is not None and (color := material.find("color")) is not None:
         rgba = color.get("rgba", "0.7 0.7 0.7 1").split()[:3]
         surface = MaterialSpec(color=_vector(" ".join(rgba), f"{path}: <color> rgba"))
     return Visual(kind=kind, size=size, mesh=mesh, scale=scale, pose=origin_pose(element, str(path)), material=surface)
