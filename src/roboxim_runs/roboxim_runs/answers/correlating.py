@@ -46,8 +46,20 @@ def read_results(path: Path) -> Table:
         path: A CSV or JSON table, a card, or the folder of an evaluation or an experiment.
 
     Raises:
-        ConfigError: When it is none, or a row is wrong; names it.
+        ConfigError: When it is none, or a row is wrong (names it), or most episodes of a policy ended in errors.
     """
+    table = _stored(path)
+    erred = [name for name, arm in table.items() if 2 * arm.pooled.errors > arm.pooled.episodes]
+    if erred:
+        raise ConfigError(
+            f"{path} does not measure {', '.join(erred)}: most episodes ended in errors; mend what they name, and "
+            "evaluate again into another folder"
+        )
+    return table
+
+
+def _stored(path: Path) -> Table:
+    """Return the results of a file or a folder, as `read_results`, whatever their errors."""
     if path.is_dir():
         if (path / RECORD_FILE).exists():
             return {name: _one(_counted(path / name)) for name in stored_record(path).policies}

@@ -116,3 +116,8 @@ def test_folders_of_evaluations_and_experiments_are_tables(tmp_path):
     record = EvaluationRecord(task="pick_cube", seed=0, policies=("bc", "zero"))
     (out / RECORD_FILE).write_text(json.dumps(to_plain(record)))
     assert {name: arm.rate for name, arm in read_results(out).items()} == {"bc": 0.75, "zero": 0.0}
+    with RunFolder(out / "zero").opened({"command": "evaluate"}) as run:
+        for index in range(4, 10):
+            run.append(EpisodeResult(episode_id=f"{index}", index=index, outcome="error", reason="policy_timeout"))
+    with pytest.raises(ConfigError, match="does not measure zero: most episodes ended in errors"):
+        read_results(out)
