@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 from roboxim_core.episode import EpisodeInfo
 from roboxim_core.errors import ConfigError
 from roboxim_core.whole_files import write_whole
+from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_policies.learning.config import LearningConfig
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.run_bags import run_bags
@@ -23,6 +24,7 @@ from roboxim_runs.datasets.export import ExportConfig, export_dataset
 from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation, Executor
+from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.training.run import TRAINED_ON, TrainingResult, train_policy
 
 Handled = TypeVar("Handled")
@@ -104,13 +106,12 @@ def pretrain(
     from roboxim_policies.learning.checkpoint import policy_only  # importing JAX takes a second
 
     out, name = Path(config.out), config.checkpoint_name
-    made = generate(
-        GenerationConfig(
-            out=out / "demos", suite=config.suite, episodes=config.episodes, seed=config.seed, workers=config.workers,
-            size=config.size, renderer=config.renderer, noise_mm=6.0, noise_mrad=20.0, first_try=True,
-        ),
-        on_event=on_event, cancellation=cancellation, executor=executor,
+    demonstrations = GenerationConfig(
+        out=out / "demos", suite=config.suite, episodes=config.episodes, seed=config.seed, workers=config.workers,
+        size=config.size, renderer=config.renderer, noise_mm=6.0, noise_mrad=20.0, first_try=True,
     )  # fmt: skip
+    _require_same_number(out, len(demonstrations.job().indices))
+    made = generate(demonstrations, on_event=on_event, cancellation=cancellation, executor=executor)
     made.require_any()
     export_dataset(
         "rlds", out / "demos", out / "rlds", ExportConfig(val_fraction=0.0, uneven=True), on_event=on_event,
@@ -137,6 +138,20 @@ def pretrain(
         scratch.replace(packed)
     write_whole(out / "exposure.json", json.dumps(pretraining, indent=2) + "\n")
     return PretrainResult(checkpoint=packed, exposure=exposure, training=training)
+
+
+def _require_same_number(out: Path, wanted: int) -> None:
+    """Refuse more demonstrations in the folder of a pre-training that has begun to train.
+
+    Raises:
+        ConfigError: Naming both numbers.
+    """
+    made = len(RunFolder(out / "demos").results())
+    if next((out / "rlds").rglob(EXPORT_FILE), None) and made < wanted:
+        raise ConfigError(
+            f"{out} holds a pre-training on {made} demonstrations, got --episodes {wanted}: give {made}, or another "
+            "--out"
+        )
 
 
 def exposure_of(infos: Iterable[EpisodeInfo]) -> dict[str, Any]:

@@ -59,6 +59,15 @@ def test_a_name_is_a_files_name():
         _ = PretrainConfig(learning=BCConfig(), name="a/b").checkpoint_name
 
 
+def test_a_folder_that_trains_already_takes_no_more_demonstrations(tmp_path):
+    (tmp_path / "broad" / "rlds" / "roboxim").mkdir(parents=True)
+    (tmp_path / "broad" / "rlds" / "roboxim" / "export.json").write_text("{}")
+    config = PretrainConfig(learning=BCConfig(), out=tmp_path / "broad", episodes=46)
+    with pytest.raises(ConfigError, match=r"a pre-training on 0 demonstrations, got --episodes 46: give 0, or another"):
+        pretrain(config)
+    assert not (tmp_path / "broad" / "demos").exists()
+
+
 @pytest.mark.slow
 def test_it_is_packed_continued_and_fine_tuned(tmp_path):
     learning = BCConfig(steps=3, batch=8, image_sizes={"workspace": 32, "wrist": 32})
