@@ -3,10 +3,14 @@
 Such a bag has the scene, a state for each tick and perhaps images. That suffices for an episode: the action of a tick
 is the controller's command, i.e. the joints at its end and the opening. Whether a task was solved is unknown. A new
 scene, a lost tick and a tick of another length end an episode; states without an episode are reported.
+
+Messages are recorded in the order in which they arrive, which need not be the order in which they were sent. So a state
+belongs to the scene whose hash it has, and to the images whose checksums the simulator's notice of its tick has.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from roboxim_core.actions import ActionSemantics
+from roboxim_core.config import digest
 from roboxim_core.errors import ErrorCode, RecorderError
 from roboxim_core.proprioception import STATE_FIELDS, Proprioception, ProprioField, component_names
 from roboxim_core.specs import CameraSpec, SceneSpec
@@ -31,6 +36,7 @@ from roboxim_ros.messages.conversions import from_msg, image_from_msg, stamp_to_
 SCENE = "/sim/scene"
 """Topic of the scene, latched."""
 GRIPPER = "gripper.opening"
+UNSURE = f"with images that may be of another scene: record {topics.NOTICE}, too"
 FIELDS = (ProprioField.JOINT_POSITIONS, ProprioField.JOINT_VELOCITIES)
 """Observed vectors beside ``state``."""
 
@@ -44,7 +50,7 @@ class Stretch:
     clock_epoch: int
     """Number of restarts of the simulated time before it."""
     states: tuple[StateRecord, ...]
-    """The states; its images have the same stamp and clock epoch."""
+    """The states."""
 
     @property
     def tick_ns(self) -> int:
@@ -91,6 +97,8 @@ class DrivenDataset(Dataset):
         if other := sum(len(one.states) for one in found if one not in self._kept):
             self._others["of another robot, rate or cameras than the longest episode"] = other
         if not self._kept:
+            if UNSURE in self._others:
+                raise _refused(f"{path} has {self._others[UNSURE]} states {UNSURE}")
             raise _refused(f"{path} has no two successive ticks of one scene: nothing moved while it was recorded")
 
     @property
@@ -156,34 +164,39 @@ class DrivenDataset(Dataset):
 
     def _stretches(self) -> Iterator[Stretch]:
         """Yield the stretches of ticks with an action, and count the states that belong to none."""
-        scene: SceneSpec | None = None
+        scenes = {digest(scene): scene for scene in self._scenes()}
+        told = any(message.scene_hash in scenes for _, _, message in self._bag.messages((topics.STATE,)))
+        newest: SceneSpec | None = None  # for states of versions without a hash, or with another one
+        last: SceneSpec | None = None
         run: list[StateRecord] = []
         epochs, epoch = _Epochs(), 0
         for topic, _, message in self._bag.messages((SCENE, topics.STATE)):
             if topic == SCENE:
-                found = from_msg(message, SceneSpec)
-                if found != scene:
-                    yield from self._closed(scene, epoch, run)
-                    scene, run = found, []
+                newest = from_msg(message, SceneSpec)
                 continue
             state = from_msg(message, StateRecord)
+            scene = scenes.get(state.scene_hash) if told else newest
             clock_epoch = epochs.of(topic, state.stamp_ns)
-            if run and (clock_epoch != epoch or not _follows(run, state)):
-                yield from self._closed(scene, epoch, run)
+            if run and (clock_epoch != epoch or scene != last or not _follows(run, state)):
+                yield from self._closed(last, epoch, run)
                 run = []
             run.append(state)
-            epoch = clock_epoch
-        yield from self._closed(scene, epoch, run)
+            epoch, last = clock_epoch, scene
+        yield from self._closed(last, epoch, run)
+
+    def _scenes(self) -> Iterator[SceneSpec]:
+        return (from_msg(message, SceneSpec) for _, _, message in self._bag.messages((SCENE,)))
 
     def _closed(self, scene: SceneSpec | None, clock_epoch: int, run: Sequence[StateRecord]) -> Iterator[Stretch]:
         """Yield the parts of a run of states that have all images, which a busy machine may lose."""
         if scene is None:
-            self._others["without a scene before them"] += len(run)
+            self._others["without their scene"] += len(run)
             return
-        stamps = [self._stamps[topics.image_topic(camera.name)] for camera in self._cameras(scene)]
+        names = [topics.image_topic(camera.name) for camera in self._cameras(scene)]
         part: list[StateRecord] = []
         for state in (*run, None):
-            if state is not None and all((clock_epoch, state.stamp_ns) in there for there in stamps):
+            keys = [] if state is None else [self._key(name, state, clock_epoch) for name in names]
+            if state is not None and all(key in self._found[name] for name, key in zip(names, keys, strict=True)):
                 part.append(state)
                 continue
             if len(part) > 1:
@@ -191,7 +204,7 @@ class DrivenDataset(Dataset):
             elif part:
                 self._others["alone: no tick follows"] += 1
             if state is not None:
-                self._others["without an image of each camera"] += 1
+                self._others[UNSURE if None in keys else "without an image of each camera"] += 1
             part = []
 
     def _cameras(self, scene: SceneSpec) -> list[CameraSpec]:
@@ -199,15 +212,50 @@ class DrivenDataset(Dataset):
         return [camera for camera in scene.cameras if self._bag.counts.get(topics.image_topic(camera.name))]
 
     @cached_property
-    def _stamps(self) -> dict[str, set[tuple[int, int]]]:
-        """Topic of images to their eras and stamps [ns]."""
-        found: dict[str, set[tuple[int, int]]] = {}
+    def _found(self) -> dict[str, set[_Key]]:
+        """Topic of images to the keys of those that were recorded."""
         names = [topic for topic, kind in self._bag.types.items() if kind == topics.IMAGE]
-        epochs = _Epochs()
-        for topic, _, message in self._bag.messages(names) if names else ():
-            stamp = stamp_to_ns(message.header.stamp)
-            found.setdefault(topic, set()).add((epochs.of(topic, stamp), stamp))
+        found: dict[str, set[_Key]] = {name: set() for name in names}
+        for topic, keys, _ in self._recorded(names):
+            found[topic] |= set(keys)
         return found
+
+    def _recorded(self, names: Sequence[str]) -> Iterator[tuple[str, tuple[_Key, _Key], Any]]:
+        """Yield each image message with its topic and its two keys: by its time's era and by its checksum."""
+        epochs = _Epochs()
+        for topic, _, message in self._bag.messages(tuple(names)) if names else ():
+            stamp = stamp_to_ns(message.header.stamp)
+            yield topic, (("era", epochs.of(topic, stamp), stamp), ("crc", zlib.crc32(message.data), stamp)), message
+
+    @cached_property
+    def _checksums(self) -> dict[tuple[str, int, int], list[dict[str, int]]]:
+        """Episode, tick and stamp [ns] to the checksums of the images, by topic, in each notice of such a tick."""
+        found: dict[tuple[str, int, int], list[dict[str, int]]] = {}
+        for _, _, notice in self._bag.messages((topics.NOTICE,)) if self._bag.counts.get(topics.NOTICE) else ():
+            named = dict(zip(map(topics.absolute, notice.topics), map(int, notice.image_crc32), strict=False))
+            found.setdefault((notice.episode_id, notice.seq, stamp_to_ns(notice.stamp)), []).append(named)
+        return found
+
+    @cached_property
+    def _eras(self) -> dict[str, int]:
+        """Topic of states or images to the restarts of its time."""
+        names = {topic for topic, kind in self._bag.types.items() if kind == topics.IMAGE} | {topics.STATE}
+        epochs, found = _Epochs(), dict.fromkeys(names, 0)
+        for topic, _, message in self._bag.messages(tuple(names)):
+            stamp_ns = message.stamp_ns if topic == topics.STATE else stamp_to_ns(message.header.stamp)
+            found[topic] = epochs.of(topic, int(stamp_ns))
+        return found
+
+    def _key(self, topic: str, state: StateRecord, clock_epoch: int) -> _Key | None:
+        """Return the key of a state's image: by its checksum, or by its era if notices do not tell.
+
+        None: the time of the images restarted less or more often than that of the states, so that eras do not tell.
+        """
+        notices = self._checksums.get((state.episode_id, state.seq, state.stamp_ns), ())
+        told = {notice.get(topic, 0) for notice in notices} - {0}
+        if len(told) == 1:
+            return "crc", told.pop(), state.stamp_ns
+        return ("era", clock_epoch, state.stamp_ns) if self._eras[topic] == self._eras[topics.STATE] else None
 
     def _like(self, one: Stretch, other: Stretch) -> bool:
         """Return whether two stretches fit into one dataset."""
@@ -223,18 +271,24 @@ class DrivenDataset(Dataset):
         if not names:
             yield from ({} for _ in stretch.states)
             return
-        wanted, epochs = [state.stamp_ns for state in stretch.states], _Epochs()
-        found: dict[int, dict[str, Any]] = {stamp: {} for stamp in wanted}
+        wanted: dict[tuple[str, _Key | None], list[int]] = {}
+        for number, state in enumerate(stretch.states):
+            for topic in names:
+                wanted.setdefault((topic, self._key(topic, state, stretch.clock_epoch)), []).append(number)
+        found: dict[int, dict[str, Any]] = {number: {} for number in range(len(stretch.states))}
         at = 0
-        for topic, _, message in self._bag.messages(tuple(names)):
-            stamp = stamp_to_ns(message.header.stamp)
-            if epochs.of(topic, stamp) == stretch.clock_epoch and stamp in found:
-                found[stamp][names[topic]] = image_from_msg(message)
-            while at < len(wanted) and len(found[wanted[at]]) == len(names):
-                yield found.pop(wanted[at])
+        for topic, keys, message in self._recorded(tuple(names)):
+            for number in (number for key in keys for number in wanted.pop((topic, key), ())):
+                found[number][names[topic]] = image_from_msg(message)
+            while len(found[at]) == len(names):
+                yield found.pop(at)
                 at += 1
-                if at == len(wanted):
+                if at == len(stretch.states):
                     return
+
+
+_Key = tuple[str, int, int]
+"""``era`` or ``crc``, its value, and the stamp [ns]."""
 
 
 class _Epochs:

@@ -9,6 +9,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from roboxim_interfaces import msg as ours
 
+from roboxim_core.config import digest
 from roboxim_core.errors import RecorderError
 from roboxim_recorder.bag_writer import McapFile
 from roboxim_recorder.cdr import message_layout
@@ -25,27 +26,41 @@ TOPICS = {
     "/camera/wrist/image": "sensor_msgs/msg/Image",
     "/joint_states": "sensor_msgs/msg/JointState",
 }
+NOTICES = {"/sim/ticks": "roboxim_interfaces/msg/TickNotice"}
 
 
-def driven(folder, *drives, lost=(), scene=True):
-    """Write what bag record writes: a scene, then ticks; lost: (topic, drive, tick)."""
+def driven(folder, *drives, lost=(), scene=True, notices=True, early=0):
+    """Write what bag record writes: a scene, then ticks.
+
+    Args:
+        folder: The bag.
+        drives: What happened.
+        lost: (topic, drive, tick), tick None: all.
+        scene: Whether scenes are recorded.
+        notices: Whether notices are.
+        early: Messages of the drive before that are written after a scene.
+    """
     file = McapFile(folder, folder.name)
+    types = TOPICS | (NOTICES if notices else {})
+    messages = []
 
     def write(topic, message, at):
-        file.write(topic, message_layout(message_schema(TOPICS[topic])).clean(serialize_message(message)).data, at)
+        file.write(topic, message_layout(message_schema(types[topic])).clean(serialize_message(message)).data, at)
 
-    for topic, kind in TOPICS.items():
+    for topic, kind in types.items():
         file.add_topic(topic, message_schema(kind))
-    at = 0
     for number, drive in enumerate(drives):
+        spec = replace(drive.scene, table=replace(drive.scene.table, center=(0.5, 0.01 * number, 0.0)))
         if scene:
-            spec = replace(drive.scene, table=replace(drive.scene.table, center=(0.5, 0.01 * number, 0.0)))
-            write(SCENE[0], to_msg(spec, ours.SceneSpec), at)
+            messages.insert(len(messages) - early if number else 0, (SCENE[0], to_msg(spec, ours.SceneSpec)))
         for seq in range(drive.last_seq + 1):
             for topic, message in drive.tick(seq).items():
-                at += 1
-                if topic in TOPICS and (topic, number, seq) not in lost:
-                    write(topic, message, at)
+                if topic == "/sim/state":
+                    message.scene_hash = digest(spec)
+                if topic in types and not {(topic, number, seq), (topic, number, None)} & set(lost):
+                    messages.append((topic, message))
+    for at, (topic, message) in enumerate(messages):
+        write(topic, message, at)
     file.finish({})
     return folder
 
@@ -82,6 +97,34 @@ def test_a_new_scene_and_lost_ticks_end_an_episode_and_are_named(fake, tmp_path)
     np.testing.assert_array_equal(first, drives[1].image("wrist", 0))
     said = {part.why: part.count for part in dataset.account.left_out if part.name == "/sim/state"}
     assert said == {"without an image of each camera": 1}
+
+
+def test_images_that_were_lost_do_not_shift_those_of_later_scenes(fake, tmp_path):
+    lost = {("/camera/wrist/image", 1, None), ("/camera/workspace/image", 1, None)}
+    drives = [fake(index=10 * index, steps=5) for index in range(3)]
+    dataset = DrivenDataset(driven(tmp_path / "bag", *drives, lost=lost), "Wave")
+    first, last = dataset.episodes()
+    for episode, drive in ((first, drives[0]), (last, drives[2])):
+        for step in episode.steps():
+            for camera, image in step.images.items():
+                np.testing.assert_array_equal(image, drive.image(camera, step.index))
+    said = {part.why: part.count for part in dataset.account.left_out if part.name == "/sim/state"}
+    assert said == {"without an image of each camera": 8}
+    with pytest.raises(RecorderError, match="24 states with images that may be of another scene: record /sim/ticks"):
+        DrivenDataset(driven(tmp_path / "blind", *drives, lost=lost, notices=False), "Wave")
+
+
+def test_states_belong_to_the_scene_whose_hash_they_have(fake, tmp_path):
+    drives = fake(index=0, steps=5), fake(index=1, steps=5)
+    ordered, stalled = (
+        [
+            (len(episode), [step.proprio["state"].tolist() for step in episode.steps()])
+            for episode in DrivenDataset(driven(tmp_path / name, *drives, early=early), "Wave").episodes()
+        ]
+        for name, early in (("ordered", 0), ("stalled", 12))
+    )
+    assert ordered == stalled
+    assert [length for length, _ in ordered] == [7, 7]
 
 
 @pytest.mark.parametrize(
