@@ -5,7 +5,8 @@
 - A step is done once its evaluator has held for its ``hold_s``. In a fixed order it must have been unsolved at some
   tick of its turn, so that a later step done before its turn does not count. An event, such as a press, is looked for
   only in its turn; so it counts there from the first tick on.
-- A step that is done must hold at the end, unless a later step moves its objects on (`superseded`).
+- A step that is done must hold at the end, unless a later step moves its objects on (`superseded`). With the order
+  ``any``, later is what was done after it.
 - The sequence is solved while all steps are done and hold.
 
 Non-obvious: a step's evaluator compares with tick 0 what no earlier step has handled, and with the start of its turn
@@ -14,6 +15,7 @@ what one has. So a lifted object counts as lifted even if the step before was do
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 from roboxim_core.specs import TaskSpec
@@ -56,7 +58,7 @@ class Progress:
         steps = steps_of(task)
         self._any = task.arguments.get(ORDER) == "any"
         self._initial = initial
-        later = [steps[:k] + steps[k + 1 :] if self._any else steps[k + 1 :] for k in range(len(steps))]
+        later = [() if self._any else steps[k + 1 :] for k in range(len(steps))]
         self._steps = [_Step(s, not superseded(s, rest)) for s, rest in zip(steps, later, strict=True)]
         self._handled: set[str] = set()
         targets = {own_objects(step)["target"] for step in steps if "target" in step.objects}
@@ -75,7 +77,7 @@ class Progress:
         predicates: dict[str, float] = {}
         fallen = self._fallen.assess(state)
         failed, reason = fallen.failed, fallen.reason
-        finished = False
+        finished: set[str] = set()
         for number, step in enumerate(self._steps, start=1):
             if step.evaluator is None:
                 continue
@@ -87,9 +89,11 @@ class Progress:
             step.reason = found.reason
             if found.failed:
                 failed, reason = True, reason or f"step_{number}_{found.reason}"
-            finished = self._count(step, found, state) or finished
+            if self._count(step, found, state):
+                own = own_objects(step.task)
+                finished |= {own["target"]} if "target" in own else set(own.values())
         if finished:
-            self._begin(state)
+            self._begin(state, finished)
         counted = sum(step.done and step.holds for step in self._steps)
         predicates |= {f"step_{n}_done": float(s.done and s.holds) for n, s in enumerate(self._steps, start=1)}
         predicates |= {
@@ -122,16 +126,20 @@ class Progress:
         if held_s < step.evaluator.hold_s - 1e-9:
             step.reason = "not_held"
             return False
+        for before in (other for other in self._steps if self._any and other.done):
+            before.lasting &= not superseded(before.task, (step.task,))
         step.done = step.holds = True
         self._handled |= set(own_objects(step.task).values())
         return True
 
-    def _begin(self, state: StateRecord) -> None:
-        """Begin the turn of the next step, or again of all that are left."""
+    def _begin(self, state: StateRecord, moved: Collection[str] = ()) -> None:
+        """Begin the turn of the next step, or again of those that are left and are about objects just moved."""
         known = {e.name: e for e in self._initial.entities if e.name not in self._handled}
         for step in (step for step in self._steps if not step.done):
-            skill = SKILLS[step.task.skill]
-            own = set(own_objects(step.task).values()) if skill.event else set()
+            skill, things = SKILLS[step.task.skill], set(own_objects(step.task).values())
+            if step.evaluator is not None and not things & set(moved):
+                continue
+            own = things if skill.event else set()
             start = tuple(e if e.name in own else known.get(e.name, e) for e in state.entities)
             step.evaluator = skill.evaluator(step.task, replace(state, entities=start))
             step.unsolved, step.since_ns = skill.event, None
