@@ -6,12 +6,12 @@ from roboxim_core.config import parse_yaml
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.plain_data.wordings import _sets, reworded, set_names, wordings_of
+from roboxim_core.plain_data.wordings import _sets, english_wordings, reworded, set_names, wordings_of
 from roboxim_core.seeds import SeedPath
 from roboxim_tasks.config import load_task_config, task_config
 from roboxim_tasks.meaning import asks_for_same, read_instruction
 from roboxim_tasks.sampling.episodes import EpisodeGenerator
-from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.skills import SKILLS, push_object, rotate
 
 WORDED = [name for name in config_names("wordings") if not name.startswith("words_")]
 
@@ -51,6 +51,9 @@ def test_an_instruction_is_said_in_other_words_and_another_language():
     assert reworded("Place the soda can on the plate.", "german")[0] == "Leg die Getränkedose auf den Teller"
     turn = reworded("Rotate the knife clockwise by 90 degrees", "german")
     assert turn == ("Dreh das Messer im Uhrzeigersinn um 90 Grad",)
+    other = reworded("Rotate the knife counter-clockwise by 90 degrees", "german")
+    assert other == ("Dreh das Messer gegen den Uhrzeigersinn um 90 Grad",)
+    assert "Stapel den Würfel auf den Holzklotz" in reworded("Stack the cube on the block", "german")
     assert reworded("Dance", "german") == ()
     assert set_names() == ("german", "held_out", "trained")
 
@@ -66,3 +69,20 @@ def test_what_the_english_sets_say_is_understood(skill):
         for text in texts:
             found = read_instruction(text, made.scene, library)
             assert any(asks_for_same(task, made.task) for task in found.tasks), text
+
+
+@pytest.mark.parametrize("thing", ["cube", "soda can", "red cube", "light blue milk carton"])
+def test_every_object_and_direction_goes_into_every_wording(thing):
+    for skill, directions in (("push_object", push_object.DIRECTIONS), ("rotate", rotate.DIRECTIONS)):
+        for direction in directions:
+            words = {"target": thing, "direction": direction, "angle": "90"}
+            for name in ("trained", "held_out"):
+                said = reworded(english_wordings(skill)[0].format_map(words), name)
+                assert said == tuple(each.format_map(words) for each in wordings_of(skill, name))
+
+
+@pytest.mark.parametrize(
+    "other", ["Push the green button", "Pick up the cube, then push the button", "Pick up the cube and then push it"]
+)
+def test_what_no_first_wording_says_has_no_other_words(other):
+    assert reworded(other, "held_out") == ()

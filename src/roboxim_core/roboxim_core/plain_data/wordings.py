@@ -19,6 +19,8 @@ from roboxim_core.errors import ConfigError, one_of
 
 KIND = "wordings"
 FIRST = "first"
+SLOTS = "slots"
+"""Key of the words that may fill a slot, where an object's name beside it does not tell where it ends."""
 WORDS = "words_"
 
 
@@ -75,10 +77,11 @@ def reworded(instruction: str, name: str) -> tuple[str, ...]:
         name: The set.
 
     Returns:
-        All wordings of the set; empty when the instruction follows no first wording, or its skill lacks the set.
+        All wordings of the set; empty when the instruction follows no first wording, e.g. since it has several steps,
+        or when its skill lacks the set.
     """
-    for sets in _sets().values():
-        found = _pattern(sets[FIRST][0]).fullmatch(instruction.strip().rstrip("."))
+    for skill, sets in _sets().items():
+        found = _pattern(skill, sets[FIRST][0]).fullmatch(instruction.strip().rstrip("."))
         if found and name in sets:
             names = _names(name)
             filled = {key: names.get(word.lower(), word) for key, word in found.groupdict().items()}
@@ -87,8 +90,14 @@ def reworded(instruction: str, name: str) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=64)
-def _pattern(template: str) -> re.Pattern[str]:
-    parts = (re.escape(text) + (f"(?P<{name}>.+?)" if name else "") for text, name, _, _ in Formatter().parse(template))
+def _pattern(skill: str, template: str) -> re.Pattern[str]:
+    slots = _mapping(skill).get(SLOTS, {})
+    if not isinstance(slots, Mapping) or not all(isinstance(words, list) and words for words in slots.values()):
+        raise ConfigError(f"config/{KIND}/{skill}.yaml: '{SLOTS}' must map names in braces to lists of words")
+    parts = []
+    for text, name, _, _ in Formatter().parse(template):
+        words = "|".join(re.escape(str(word)) for word in slots.get(name, ())) or r"(?:(?!\bthen\b)[^,])+?"
+        parts.append(re.escape(text) + (f"(?P<{name}>{words})" if name else ""))
     return re.compile("".join(parts), re.IGNORECASE)
 
 
@@ -106,7 +115,7 @@ def _sets() -> dict[str, dict[str, tuple[str, ...]]]:
         wanted = _roles(first)
         found[skill] = {FIRST: (first,)}
         for name, templates in content.items():
-            if name == FIRST:
+            if name in (FIRST, SLOTS):
                 continue
             good = isinstance(templates, list) and templates and all(isinstance(each, str) for each in templates)
             if not good or any(_roles(each) != wanted for each in templates):

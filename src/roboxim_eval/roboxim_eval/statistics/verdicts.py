@@ -126,7 +126,9 @@ def _undecided(
         adjusted = f"{_p(equal, 'is ')}{limit} after adjustment for {comparisons} comparisons"
         unclear = f"the difference is {narrow}, but {adjusted}, over {many}"
     elif interval.low > 0 or interval.high < 0:  # likewise
-        adjusted = f"p is {own:.2g}{limit} after adjustment for several comparisons"
+        adjusted = f"p is {own:.2g}{limit}"
+        if own > difference.p_value:
+            adjusted += " after adjustment for several comparisons"
         unclear = f"the difference is {_number(interval.value)} points, but {adjusted}, over {many}"
     else:
         unclear = f"{_number(interval.low)} to {_number(interval.high)} points are compatible with {many}"

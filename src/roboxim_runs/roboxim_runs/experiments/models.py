@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from roboxim_core.errors import ConfigError
@@ -40,7 +40,7 @@ def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -
         cards[name] = folder_card(runs[name])
     if cards and not condition:  # of the first run; another run's own may be another one
         condition = compared_condition(next(iter(cards.values())).experiment.config)
-    scenes = {name: _wins(folder, condition) for name, folder in runs.items() if _same_seeds(cards, name, condition)}
+    scenes = {name: _wins(folder, condition, cards[name]) for name, folder in runs.items()}
     return compare_models(cards, condition=condition, where=where, scenes=scenes), cards
 
 
@@ -51,7 +51,12 @@ def _name_of(path: Path) -> str:
     return (path if path.is_dir() else path.parent).resolve().name
 
 
-def _wins(folder: ExperimentFolder, condition: str) -> list[Wins]:
+def _wins(folder: ExperimentFolder, condition: str, card: Card) -> list[Wins]:
+    """Return the outcomes of each replicate by cell and scene: its number under the evaluation's seed.
+
+    Scenes of one seed and number are the same: `compare_models` refuses runs whose rollouts had different tasks.
+    """
+    seeds = {e.replicate: e.seed for e in card.evaluations if e.condition == condition and not e.checkpoint}
     config = folder.design.config
     if condition not in config.conditions:
         return []
@@ -59,17 +64,6 @@ def _wins(folder: ExperimentFolder, condition: str) -> list[Wins]:
     found: list[Wins] = []
     for replicate in range(config.replicates.count):
         rows = results[stage_name(condition, replicate)].items()
-        found.append({(cell, str(number)): result.outcome == "success" for (cell, number), result in rows})
+        seed = seeds.get(replicate)
+        found.append({(cell, f"{seed}/{number}"): result.outcome == "success" for (cell, number), result in rows})
     return found
-
-
-def _same_seeds(cards: Mapping[str, Card], name: str, condition: str) -> bool:
-    """Return whether a run's final evaluations have the seeds of the first run's.
-
-    Then their scenes are the same: `compare_models` refuses runs whose rollouts had different tasks.
-    """
-
-    def seeds(card: Card) -> list[int]:
-        return [e.seed for e in card.evaluations if e.condition == condition and not e.checkpoint]
-
-    return seeds(cards[name]) == seeds(next(iter(cards.values())))

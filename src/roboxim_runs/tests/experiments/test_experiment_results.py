@@ -424,6 +424,22 @@ def test_models_are_compared_on_the_scenes_that_they_shared(tmp_path):
     assert models.models.keys() == {"alone", "strong"}, "a published folder has the card alone"
 
 
+def test_a_run_with_other_scenes_changes_nothing_between_the_others(tmp_path):
+    one = PLANTED_EXPERIMENT.replace("count: 3", "count: 1")
+    names = ("weak", "strong", "elsewhere")
+    for name, rate in zip(names, (0.2, 0.9, 0.5), strict=True):
+        text = one.replace("count: 1", "count: 1, first_seed: 5") if name == "elsewhere" else one
+        planted_folder(tmp_path / name, {**PLANTED_RATES, "leave_out": rate}, text)
+    for order in itertools.permutations(names):
+        models, _ = compared([tmp_path / name for name in order])
+        found = {frozenset((pair.first, pair.second)): pair.test.partition(", ")[2] for pair in models.pairs}
+        assert found == {
+            frozenset(("weak", "strong")): "on 40 scenes that both met",
+            frozenset(("weak", "elsewhere")): "on different scenes",
+            frozenset(("strong", "elsewhere")): "on different scenes",
+        }, order
+
+
 def test_models_are_compared_by_the_condition_of_the_first_run(tmp_path):
     one = PLANTED_EXPERIMENT.replace("count: 3", "count: 1")
     other = one.replace("first: leave_out, second: baseline", "first: baseline, second: leave_out")

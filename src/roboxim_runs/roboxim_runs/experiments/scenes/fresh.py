@@ -81,7 +81,8 @@ def card_part(out: Path, products: Mapping[str, Mapping[str, Any]], card: Card) 
     seed = stored_seed(out)
     if seed is None:
         return None
-    trained = [name for name in products if name.startswith("train/")]
+    known = {f"train/{one.condition}.{one.replicate}" for one in card.trainings}  # the folder may have had others
+    trained = [name for name in products if name in known]
     before = sum(products[name].get(COMMITTED) != seed.commitment for name in trained)
     public = _public_card(out)
     if public is not None:
