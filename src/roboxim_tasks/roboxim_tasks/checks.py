@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from string import Formatter
 from typing import Any, get_type_hints
 
 from roboxim_core.config import complaint_at, from_plain, section_of
@@ -18,6 +17,7 @@ from roboxim_core.errors import ConfigError, RoboximError, one_of
 from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.modifiers import PHYSICAL, ModifierModel
+from roboxim_core.plain_data.wordings import names_in
 from roboxim_core.specs import Scalar
 from roboxim_tasks.arms import check_grasped, check_skills
 from roboxim_tasks.choices import Choice
@@ -225,12 +225,19 @@ def check_templates(document: Document, config: TaskConfig) -> None:
     with document.section(()):
         config.templates.require_words("templates", "instructions with roles in braces")
     for template in map(str, config.templates.values):
-        try:
-            mentioned = [name for _, name, _, _ in Formatter().parse(template) if name is not None]
-        except ValueError as error:
-            raise document.error(("templates",), f"'{template}': {error}") from None
-        for name in mentioned:
-            document.require(("templates",), name, (*skill.roles, *skill.words))
+        with document.section(("templates",)):
+            check_names(template, skill)
+
+
+def check_names(template: str, skill: Skill) -> None:
+    """Check that a template names only a skill's roles and words.
+
+    Raises:
+        ConfigError: When it names others, or its braces are wrong.
+    """
+    for name in names_in(template):
+        if name not in (known := (*skill.roles, *skill.words)):
+            raise ConfigError(f"'{template}': unknown name '{name}'; {one_of(known, name)}")
 
 
 def check_exclusions(document: Document, config: TaskConfig, library: ModelLibrary) -> None:

@@ -20,6 +20,7 @@ from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.plain_data.merging import merged
+from roboxim_core.plain_data.wordings import KIND as WORDINGS
 from roboxim_core.plain_data.wordings import wordings_of
 from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
 from roboxim_core.seeds import CELL, CELL_NUMBER
@@ -29,6 +30,7 @@ from roboxim_tasks.checks import (
     check_arguments,
     check_arm,
     check_exclusions,
+    check_names,
     check_objects,
     check_reset,
     check_scene,
@@ -121,6 +123,11 @@ def _templates(document: Document, config: TaskConfig, skill: Skill) -> Choice:
             raise ConfigError(
                 f"'{config.wordings}' and `templates` both give the instructions: leave one of the two out"
             )
+        for template in worded:
+            try:
+                check_names(template, skill)
+            except ConfigError as error:
+                raise ConfigError(f"{named_config(WORDINGS, config.skill)} is not valid: {error}") from None
     return Choice(values=worded)
 
 

@@ -10,10 +10,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from functools import lru_cache
+from pathlib import Path
 from string import Formatter
 from typing import Any
 
-from roboxim_core.config import load_yaml, named_config
+from roboxim_core.config import load_yaml, named_config, place
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError, one_of
 
@@ -22,6 +23,8 @@ FIRST = "first"
 SLOTS = "slots"
 """Key of the words that may fill a slot, where an object's name beside it does not tell where it ends."""
 WORDS = "words_"
+File = tuple[Path, int, int]
+"""A file, its time [ns] and its size [bytes], so that a changed one is read again."""
 
 
 def wordings_of(skill: str, name: str) -> tuple[str, ...]:
@@ -50,7 +53,7 @@ def wordings_of(skill: str, name: str) -> tuple[str, ...]:
 
 def english_wordings(skill: str) -> tuple[str, ...]:
     """Return a skill's templates of all sets in whose templates names stand as they are; empty: there are none."""
-    sets = _sets().get(skill, {})
+    sets = _sets_in(_file(skill)) if skill in config_names(KIND) else {}
     return tuple(template for name, templates in sets.items() if not _names(name) for template in templates)
 
 
@@ -81,7 +84,7 @@ def reworded(instruction: str, name: str) -> tuple[str, ...]:
         or when its skill lacks the set.
     """
     for skill, sets in _sets().items():
-        found = _pattern(skill, sets[FIRST][0]).fullmatch(instruction.strip().rstrip("."))
+        found = _pattern(_file(skill)).fullmatch(instruction.strip().rstrip("."))
         if found and name in sets:
             names = _names(name)
             filled = {key: names.get(word.lower(), word) for key, word in found.groupdict().items()}
@@ -89,60 +92,120 @@ def reworded(instruction: str, name: str) -> tuple[str, ...]:
     return ()
 
 
+def names_in(template: str) -> list[str]:
+    """Return the names in braces of a template, in their order.
+
+    Raises:
+        ConfigError: When a brace has no partner, or braces hold anything but a name.
+    """
+    try:
+        parts = [part for part in Formatter().parse(template) if part[1] is not None]
+    except ValueError as error:
+        raise ConfigError(f"'{template}': {error}; expected names in braces, as in 'Pick up the {{target}}'") from None
+    for _, name, spec, conversion in parts:
+        if not name or not name.isidentifier() or spec or conversion:
+            inside = f"{name}{f'!{conversion}' if conversion else ''}{f':{spec}' if spec else ''}"
+            raise ConfigError(f"'{template}': expected a name in braces, as in {{target}}, got {{{inside}}}")
+    return [name for _, name, _, _ in parts if name]
+
+
 @lru_cache(maxsize=64)
-def _pattern(skill: str, template: str) -> re.Pattern[str]:
-    slots = _mapping(skill).get(SLOTS, {})
-    if not isinstance(slots, Mapping) or not all(isinstance(words, list) and words for words in slots.values()):
-        raise ConfigError(f"config/{KIND}/{skill}.yaml: '{SLOTS}' must map names in braces to lists of words")
-    parts = []
-    for text, name, _, _ in Formatter().parse(template):
-        words = "|".join(re.escape(str(word)) for word in slots.get(name, ())) or r"(?:(?!\bthen\b)[^,])+?"
-        parts.append(re.escape(text) + (f"(?P<{name}>{words})" if name else ""))
-    return re.compile("".join(parts), re.IGNORECASE)
+def _pattern(file: File) -> re.Pattern[str]:
+    """Return the pattern of the instructions in a skill's first wording."""
+    content, pattern = _mapping(file), ""
+    slots = content.get(SLOTS, {})
+    for text, name, _, _ in Formatter().parse(content[FIRST]):
+        pattern += re.escape(text)
+        if name:
+            words = "|".join(re.escape(str(word)) for word in slots.get(name, ())) or r"(?:(?!\bthen\b)[^,])+?"
+            pattern += f"(?P={name})" if f"(?P<{name}>" in pattern else f"(?P<{name}>{words})"
+    return re.compile(pattern, re.IGNORECASE)
 
 
-@lru_cache(maxsize=1)
 def _sets() -> dict[str, dict[str, tuple[str, ...]]]:
     """Return skill to set to templates."""
-    found: dict[str, dict[str, tuple[str, ...]]] = {}
-    for skill in config_names(KIND):
-        if skill.startswith(WORDS):
+    return {skill: _sets_in(_file(skill)) for skill in config_names(KIND) if not skill.startswith(WORDS)}
+
+
+@lru_cache(maxsize=64)
+def _sets_in(file: File) -> dict[str, tuple[str, ...]]:
+    """Return set to templates of a skill's file.
+
+    Raises:
+        ConfigError: When an entry is wrong; names the file, the entry and what was expected.
+    """
+    content = _mapping(file)
+
+    def error(problem: object, *path: str | int) -> ConfigError:
+        return ConfigError(f"{file[0]} is not valid: {place(content, path)}: {problem}")
+
+    def names(*path: str | int) -> set[str]:
+        template: Any = content
+        for step in path:
+            template = template[step]
+        if not isinstance(template, str):
+            raise error(f"expected a wording with names in braces, got {template!r}", *path)
+        try:
+            return set(names_in(template))
+        except ConfigError as problem:
+            raise error(problem, *path) from None
+
+    if FIRST not in content:
+        raise error("expected the skill's first wording, found no such key", FIRST)
+    wanted = names(FIRST)
+    slots = content.get(SLOTS, {})
+    if not isinstance(slots, Mapping):
+        raise error("expected a mapping of names in braces to lists of words", SLOTS)
+    for name, words in slots.items():
+        if name not in wanted:
+            raise error(f"'{FIRST}' has no such name in braces; {one_of(sorted(wanted), str(name))}", SLOTS, name)
+        if not isinstance(words, list) or not words or not all(map(_is_word, words)):
+            raise error(f"expected a list of words, got {words!r}", SLOTS, name)
+    found: dict[str, tuple[str, ...]] = {FIRST: (content[FIRST],)}
+    for name, templates in content.items():
+        if name in (FIRST, SLOTS):
             continue
-        content = _mapping(skill)
-        first = content.get(FIRST)
-        if not isinstance(first, str):
-            raise ConfigError(f"config/{KIND}/{skill}.yaml: '{FIRST}' must be the skill's first wording")
-        wanted = _roles(first)
-        found[skill] = {FIRST: (first,)}
-        for name, templates in content.items():
-            if name in (FIRST, SLOTS):
-                continue
-            good = isinstance(templates, list) and templates and all(isinstance(each, str) for each in templates)
-            if not good or any(_roles(each) != wanted for each in templates):
-                raise ConfigError(
-                    f"config/{KIND}/{skill}.yaml: '{name}' must be a list of wordings with {', '.join(sorted(wanted))} "
-                    "in braces"
-                )
-            found[skill][str(name)] = tuple(templates)
+        if not isinstance(templates, list) or not templates:
+            raise error(f"expected a list of wordings, got {templates!r}", name)
+        for number, template in enumerate(templates):
+            if (used := names(name, number)) != wanted:
+                said = ", ".join(f"{{{each}}}" for each in sorted(wanted))
+                got = ", ".join(f"{{{each}}}" for each in sorted(used)) or "none"
+                raise error(f"'{template}': expected {said} in braces, as in '{FIRST}', got {got}", name, number)
+        found[str(name)] = tuple(templates)
     return found
 
 
-@lru_cache(maxsize=16)
+def _is_word(value: Any) -> bool:
+    return isinstance(value, str | int | float) and not isinstance(value, bool) and value != ""
+
+
 def _names(name: str) -> dict[str, str]:
-    if f"{WORDS}{name}" not in config_names(KIND):
-        return {}
-    return {str(key).lower(): str(value) for key, value in _mapping(f"{WORDS}{name}").items()}
+    file = f"{WORDS}{name}"
+    return _names_in(_file(file)) if file in config_names(KIND) else {}
 
 
-def _mapping(file: str) -> Mapping[str, Any]:
-    content = load_yaml(named_config(KIND, file))
+@lru_cache(maxsize=16)
+def _names_in(file: File) -> dict[str, str]:
+    content = _mapping(file)
+    for key, value in content.items():
+        if not _is_word(value):
+            where = f"{file[0]} is not valid: {place(content, (key,))}"
+            raise ConfigError(f"{where}: expected the words in place of a name, got {value!r}")
+    return {str(key).lower(): str(value) for key, value in content.items()}
+
+
+def _file(name: str) -> File:
+    path = named_config(KIND, name)
+    at = path.stat()
+    return path, at.st_mtime_ns, at.st_size
+
+
+def _mapping(file: File) -> Mapping[Any, Any]:
+    content = load_yaml(file[0])
     if not isinstance(content, Mapping):
-        raise ConfigError(f"config/{KIND}/{file}.yaml must be a mapping")
+        raise ConfigError(f"{file[0]} is not valid: expected a mapping of keys, got {type(content).__name__}")
     return content
 
 
-def _roles(template: str) -> set[str]:
-    return {name for _, name, _, _ in Formatter().parse(template) if name}
-
-
-__all__ = ["english_wordings", "require_set", "reworded", "set_names", "wordings_of"]
+__all__ = ["english_wordings", "names_in", "require_set", "reworded", "set_names", "wordings_of"]
