@@ -7,6 +7,7 @@ count, so the same command repeats a killed merge.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import os
@@ -26,7 +27,7 @@ from roboxim_core.plain_data.results_log import RESULTS_FILE, RUN_FILE, line_of
 from roboxim_core.whole_files import write_whole
 from roboxim_recorder.bag_writer import PLACES, disk_errors
 from roboxim_runs.episodes.generation import write_first_demonstrations
-from roboxim_runs.evaluation.report import RECORD_FILE, REPORT_FILE, EvaluationRecord, report_of, stored_record
+from roboxim_runs.evaluation.report import RECORD_FILE, REPORT_FILE, EvaluationRecord, listed, report_of, stored_record
 from roboxim_runs.events import OnEvent, Reporter, ReportProgress, ignore
 from roboxim_runs.storage.folder import (
     MAY_DIFFER,
@@ -45,6 +46,10 @@ SHOWN = 5
 """Number of episodes that a message names; further ones are only counted."""
 CLOCKED = ("wall_s", "inference_s")
 """Fields of a result that differ from machine to machine."""
+OF_ALL_POLICIES = ("task", "seed", "stopped", "undecided")
+"""Fields of an evaluation's record that all of its policies share."""
+OF_THE_SCENES = ("task_config", "run_seed", "definitions")
+"""Keys of a run's configuration on which its scenes depend."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +74,7 @@ def merge_shards(
     """Join the shards of one or several runs.
 
     Bags are linked where the file system allows it, otherwise copied; the shards stay unchanged. The report of an
-    evaluation is written again.
+    evaluation is written again; shards of different policies become one evaluation if their scenes are equal.
 
     Args:
         out: Folder of the merged run; may already hold a part of it.
@@ -81,8 +86,8 @@ def merge_shards(
         The merged runs, by name.
 
     Raises:
-        ConfigError: When a folder holds no run, its runs are of another configuration or still running, or episodes
-            are missing.
+        ConfigError: When a folder holds no run, its runs are of another configuration or still running, evaluations
+            are of different scenes, or episodes are missing.
         RecorderError: ``BAG_DAMAGED`` when a bag has vanished, or two folders have different recordings of an episode;
             ``DISK`` when the output cannot be written.
     """
@@ -96,7 +101,7 @@ def merge_shards(
             merge.require_complete()
     total = sum(len(merge.chosen) for merge in merges)
     with Reporter(on_event).stage("merging", total, "episodes") as progress:
-        _write(target, merges, sources, _records(sources), progress)
+        _write(target, merges, sources, _records(target, sources), progress)
     return [merge.summary for merge in merges]
 
 
@@ -129,7 +134,7 @@ def _write(
 def _write_reports(folder: Path, records: Mapping[str, EvaluationRecord], shards: Sequence[Path]) -> None:
     """Write the evaluations' records, and pages where a shard has one; an experiment's evaluations have none."""
     for name, record in records.items():
-        page = any((shard / name / REPORT_FILE).exists() for shard in shards)
+        page = any((place / name / REPORT_FILE).exists() for place in (folder, *shards))
         report_of(folder / name, record, page=page)
 
 
@@ -158,20 +163,57 @@ def _runs_in(shard: Path) -> dict[str, RunFolder]:
     return {str(folder.relative_to(shard)): RunFolder(folder) for folder in found}
 
 
-def _records(shards: Sequence[Path]) -> dict[str, EvaluationRecord]:
-    """Return the evaluations' records, by the path of their folder relative to the shard."""
-    found: dict[str, EvaluationRecord] = {}
-    for shard in shards:
-        for folder in folders_with(RECORD_FILE, shard, DEEPEST - 1):
-            record = stored_record(folder)
-            record = replace(record, command=whole_command(record.command))
-            found.setdefault(str(folder.relative_to(shard)), record)
-    return found
+def _records(target: Path, shards: Sequence[Path]) -> dict[str, EvaluationRecord]:
+    """Return the evaluations' records, by the path of their folder relative to the shard, with the policies of all.
+
+    Raises:
+        ConfigError: When the records of a folder, or the runs of their policies, are of different scenes.
+    """
+    names = {str(file.relative_to(shard)) for shard in shards for file in folders_with(RECORD_FILE, shard, DEEPEST - 1)}
+    records = {}
+    for name in sorted(names):
+        folders = [place / name for place in (target, *shards) if (place / name / RECORD_FILE).exists()]
+        found = (stored_record(folder) for folder in folders)
+        records[name] = functools.reduce(_joined, (replace(r, command=whole_command(r.command)) for r in found))
+        runs = [folder / policy for policy in records[name].policies for folder in folders]
+        _require_same_scenes([RunFolder(run) for run in runs if (run / RUN_FILE).exists()])
+    return records
+
+
+def _joined(one: EvaluationRecord, other: EvaluationRecord) -> EvaluationRecord:
+    """Return the record of an evaluation whose policies are those of two records."""
+    about, same = ({name: getattr(record, name) for name in OF_ALL_POLICIES} for record in (other, one))
+    if about != same:
+        words = (f"of {listed(one.policies)}", f"of {listed(other.policies)}")
+        raise ConfigError(
+            f"the shards are of different evaluations: {differences(same, about, words=words)}; merge them into "
+            "different folders, and compare those with roboxim report A B"
+        )
+    new = [policy for policy in other.policies if policy not in one.policies]
+    policies = (*one.policies, *new)
+    return replace(
+        one, policies=policies, facts={**other.facts, **one.facts},
+        command=f"{one.command}\n{other.command}" if new else one.command,
+        trained=tuple(p for p in policies if (other if p in new else one).is_trained(p)),
+        warnings=tuple(dict.fromkeys((*one.warnings, *other.warnings))),
+    )  # fmt: skip
+
+
+def _require_same_scenes(runs: Sequence[RunFolder]) -> None:
+    """Refuse runs of one evaluation in different scenes: its report pairs episodes of one index."""
+    for run in runs[1:]:
+        first, other = ({key: one.config().get(key) for key in OF_THE_SCENES} for one in (runs[0], run))
+        if first != other:
+            words = (f"in {runs[0].path}", f"in {run.path}")
+            raise ConfigError(
+                f"{run.path} was evaluated in other scenes than {runs[0].path}: "
+                f"{differences(first, other, words=words)}; merge them into different folders"
+            )
 
 
 def whole_command(command: str) -> str:
     """Return the command line of a whole run: a shard's without ``--shard`` and ``--out``."""
-    if not command.startswith("roboxim "):
+    if not command.startswith("roboxim ") or ("--shard" not in command and "--out" not in command):
         return command
     words, kept = iter(shlex.split(command)), []
     for word in words:

@@ -8,10 +8,12 @@ from dataclasses import replace
 import pytest
 from mcap.writer import MCAP0_MAGIC
 
+from roboxim_core.config import to_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RecorderError
 from roboxim_core.plain_data.results_log import RESULTS_FILE, ResultsLog, line_of
 from roboxim_core.shards import Shard
+from roboxim_runs.evaluation.report import RECORD_FILE, EvaluationRecord, stored_record
 from roboxim_runs.storage import merging
 from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.storage.merging import merge_shards, whole_command
@@ -117,6 +119,44 @@ def test_missing_episodes_are_named_and_a_later_shard_completes_the_folder(shard
     [merged] = merge_shards(tmp_path / "out", [shards[1]])
     assert (merged.episodes, merged.missing) == (7, ())
     assert len(files(tmp_path / "out")) == len(files(write(tmp_path / "whole", "1/1")))
+
+
+def evaluated(path, policy, shard, *, task="pick_cube", **config):
+    with RunFolder(path / policy).opened({**CONFIG, "task_config": task, "shard": shard, **config}) as folder:
+        for index in Shard.parse(shard).indices(CONFIG["episodes"]):
+            folder.append(replace(result(index), bag=""))
+    record = EvaluationRecord(
+        task=task, seed=0, policies=(policy,), facts={f"policy {policy}": f"{policy}.npz"}, trained=(policy,),
+        warnings=(f"{policy} was trained elsewhere.",), command=f"roboxim evaluate --policy {policy} --shard {shard}",
+    )  # fmt: skip
+    (path / RECORD_FILE).write_text(json.dumps(to_plain(record)))
+    return path
+
+
+@pytest.mark.parametrize("into_existing", [False, True])
+def test_shards_of_different_policies_become_one_evaluation(tmp_path, into_existing):
+    shards = [evaluated(tmp_path / f"{p}-{n}", p, f"{n}/2") for p in ("a", "b") for n in (1, 2)]
+    for part in (shards[:2], shards[2:]) if into_existing else (shards,):
+        merge_shards(tmp_path / "out", part)
+    record = stored_record(tmp_path / "out")
+    assert record.policies == record.trained == ("a", "b")
+    assert record.facts == {"policy a": "a.npz", "policy b": "b.npz"}
+    assert record.warnings == ("a was trained elsewhere.", "b was trained elsewhere.")
+    assert record.command == "roboxim evaluate --policy a\nroboxim evaluate --policy b"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"task": "stack"}, 'task: "pick_cube" of a, "stack" of b'),
+        ({"run_seed": 1}, "other scenes than .*run_seed: 0 in .*, 1 in"),
+    ],
+)
+def test_shards_of_policies_in_different_scenes_are_refused(tmp_path, change, words):
+    first = evaluated(tmp_path / "a", "a", "1/1")
+    with pytest.raises(ConfigError, match=words):
+        merge_shards(tmp_path / "out", [first, evaluated(tmp_path / "b", "b", "1/1", **change)])
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_bag_without_a_result_is_replaced_by_the_shard_s(shards, tmp_path):
