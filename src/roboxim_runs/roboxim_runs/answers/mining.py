@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ from roboxim_core.poses import Array
 from roboxim_core.seeds import SeedPath
 from roboxim_eval.answers.regions import Factor, Region, SearchConfig, search
 from roboxim_runs.answers.trying import TryBench
+from roboxim_runs.episodes.task_choice import cells_of
+from roboxim_runs.scenes.definitions import definitions_of, task_files
 
 Place = tuple[str | int, ...]
 WORDS = {
@@ -55,6 +57,8 @@ class MineConfig:
     """Size of the search."""
     run: RunConfig = RunConfig()
     """How the policy acts."""
+    policy: Mapping[str, Any] = field(default_factory=dict)
+    """What defines the policy, from `ChosenPolicy.identity`; a search in a folder continues with the same alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,8 +182,11 @@ class _Log:
     """Outcomes of the points in a search's folder. The points follow from the outcomes, so the search can continue."""
 
     def __init__(self, folder: Path, config: MineConfig, actor: ActorPort) -> None:
-        policy = actor.describe()
-        search = {"config": to_plain(config), "policy": policy.name, "version": policy.version}
+        policy, task = actor.describe(), config.task_config
+        search = {
+            "config": to_plain(config), "policy": policy.name, "version": policy.version,
+            "definitions": definitions_of(cells_of(task), task_files(task)),
+        }  # fmt: skip
         self._key = digest(search)
         folder.mkdir(parents=True, exist_ok=True)
         self._log = ResultsLog(folder / ROLLOUTS)

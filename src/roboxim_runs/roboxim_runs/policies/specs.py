@@ -138,6 +138,10 @@ class ChosenPolicy(PolicySpec):
             return self.own.files()
         return {} if acting.make is None else policy_files(acting.spec, acting.make, acting.options, exclude=out)
 
+    def identity(self, out: Path) -> dict[str, Any]:
+        """Return what defines the policy: its specification, options and files; see `files`."""
+        return {"spec": self.spec, "options": self.options, "files": self.files(out)}
+
 
 def choose_policies(
     policies: Sequence[str], checkpoints: Sequence[str] = (), options: Sequence[str] = ()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 import yaml
 from planted_causes import FailsWhere
@@ -11,9 +13,11 @@ from roboxim_core.config import parse_yaml
 from roboxim_core.episode import RunConfig
 from roboxim_core.errors import ConfigError, PolicyError, SimError
 from roboxim_eval.answers.regions import SearchConfig
+from roboxim_runs.answers import mining
 from roboxim_runs.answers.mining import MineConfig, at_point, factors_of, mine
 from roboxim_runs.answers.trying import TryBench
 from roboxim_runs.episodes.task_choice import task_text
+from roboxim_runs.policies.specs import choose_policies
 
 
 def test_ranges_of_a_task_are_its_factors():
@@ -89,3 +93,25 @@ def test_a_search_that_was_stopped_continues_without_playing_again(tmp_path):
         assert whole.unsolved == whole.rollouts == 6  # two ticks suffice neither the policy nor the expert
         with pytest.raises(ConfigError, match=r"another search or policy \(config.search.seed: 3 stored, 4"):
             mine(bench, CoreActor(rest), config(4), out=tmp_path)
+
+
+def test_a_search_in_a_folder_is_of_one_state_of_its_policy_and_scenes(tmp_path, monkeypatch):
+    file, out = tmp_path / "mine.py", tmp_path / "out"
+
+    def search(source, *options):
+        file.write_text(source)
+        (policy,) = choose_policies([f"{file}:Mine"], (), options)
+        config = MineConfig(task_config=task_text("pick_cube"), policy=policy.identity(out))
+        mine(SimpleNamespace(), CoreActor(FailsWhere(conditions=[])), config, out=out)
+
+    source = "class Mine:\n    def __init__(self, gain=1.0): ...\n"
+    monkeypatch.setattr(mining, "search", lambda *_: [])
+    search(source)
+    search(source)
+    with pytest.raises(ConfigError, match=r"config.policy.files.*mine.py"):
+        search(f"{source}    gain = 2\n")
+    with pytest.raises(ConfigError, match=r"config.policy.options.gain: nothing stored, 2"):
+        search(source, "gain=2")
+    monkeypatch.setattr(mining, "definitions_of", lambda *_: {"scene table": "another"})
+    with pytest.raises(ConfigError, match="definitions.scene table"):
+        search(source)

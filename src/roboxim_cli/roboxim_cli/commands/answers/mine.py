@@ -61,6 +61,7 @@ def command(
         task_config=task_text(task or "pick_cube"), factors=factors,
         search=SearchConfig(first=first, rounds=rounds, confirm=confirm, seed=seed),
         run=RunConfig(image_width=width, image_height=height),
+        policy={} if out is None else one.identity(out),
     )  # fmt: skip
 
     def print_rollout(number: int, failed: bool | None) -> None:
