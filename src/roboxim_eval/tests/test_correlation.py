@@ -7,6 +7,7 @@ import pytest
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_eval.statistics.correlation import (
+    WHOLE,
     correlation,
     counted,
     mean_maximum_rank_violation,
@@ -64,15 +65,29 @@ def test_cells_weigh_alike_and_only_common_ones_count():
     def arm(**cells):
         return Arm(replicates=({name: Count(successes=s, episodes=n) for name, (s, n) in cells.items()},))
 
-    both = policy_counts("a", arm(can=(9, 10), drawer=(1, 10)), arm(can=(3, 30), sponge=(5, 5)))
+    def counts(first, second):
+        return policy_counts({"a": (first, second)})[0]
+
+    both = counts(arm(can=(9, 10), drawer=(1, 10)), arm(can=(3, 30), sponge=(5, 5)))
     assert both.rates == pytest.approx((0.9, 0.1))
-    uneven = policy_counts("a", arm(can=(90, 100), drawer=(1, 10)), arm(can=(1, 2), drawer=(1, 2)))
+    uneven = counts(arm(can=(90, 100), drawer=(1, 10)), arm(can=(1, 2), drawer=(1, 2)))
     assert uneven.rates == pytest.approx((0.5, 0.5))
     assert 20 <= uneven.first[1] < 40, "the mean of two cells is as uncertain as the smaller one makes it"
-    whole = policy_counts("a", Arm(replicates=({"": Count(successes=1, episodes=4)},)), arm(can=(1, 2), drawer=(0, 2)))
+    whole = counts(Arm(replicates=({"": Count(successes=1, episodes=4)},)), arm(can=(1, 2), drawer=(0, 2)))
     assert whole.rates == pytest.approx((0.25, 0.25))
-    with pytest.raises(InvalidRequestError, match="no cell in common: can; and drawer"):
-        policy_counts("a", arm(can=(1, 2)), arm(drawer=(1, 2)))
+    with pytest.raises(InvalidRequestError, match=r"no cell is common to all .*\(a: can; a: drawer"):
+        counts(arm(can=(1, 2)), arm(drawer=(1, 2)))
+
+
+def test_rates_of_all_policies_are_over_the_same_cells():
+    def arm(**cells):
+        return Arm(replicates=({name: Count(successes=s, episodes=10) for name, s in cells.items()},))
+
+    easy, both = arm(can=9), arm(can=9, drawer=1)
+    found = policy_counts({"a": (both, both), "b": (both, easy), "c": (easy, both)})
+    assert [policy.rates for policy in found] == [pytest.approx((0.9, 0.9))] * 3
+    whole = Arm(replicates=({WHOLE: Count(successes=5, episodes=10)},))
+    assert [p.rates for p in policy_counts({"a": (both, whole), "b": (easy, whole)})] == [(0.9, 0.5)] * 2
 
 
 def test_two_policies_are_refused():
@@ -153,6 +168,6 @@ def test_cells_of_unequal_sizes_keep_their_rates():
         counts = {name: Count(successes=won, episodes=many) for name, (won, many) in zip("ab", cells, strict=True)}
         return Arm(replicates=(counts,))
 
-    found = policy_counts("p", arm((10, 20), (9, 20)), arm((2, 2), (12, 20)))
+    (found,) = policy_counts({"p": (arm((10, 20), (9, 20)), arm((2, 2), (12, 20)))})
     assert found.rates == pytest.approx((19 / 40, (1 + 12 / 20) / 2))
     assert found.second[1] == pytest.approx(4 / (1 / 2 + 1 / 20))

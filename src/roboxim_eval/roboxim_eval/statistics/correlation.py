@@ -49,7 +49,7 @@ SPREAD_SCALE = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyCounts:
-    """Outcomes of a policy in both benchmarks, over the cells that both have."""
+    """Outcomes of a policy in both benchmarks, over the cells that all policies have in both."""
 
     name: str
     """The policy."""
@@ -102,25 +102,33 @@ def mean_maximum_rank_violation(real: Array, predicted: Array) -> Array:
     return found
 
 
-def policy_counts(name: str, first: Arm, second: Arm) -> PolicyCounts:
-    """Return the outcomes of a policy over the cells that both benchmarks have.
+def policy_counts(policies: Mapping[str, tuple[Arm, Arm]]) -> list[PolicyCounts]:
+    """Return the outcomes of policies over the cells that all of them have in both benchmarks.
 
-    A table without cells (`WHOLE`) stands for all cells of the other one.
+    A table without cells (`WHOLE`) stands for all of these cells.
+
+    Args:
+        policies: Policy to its outcomes in the benchmark to be predicted, and in the one that is to predict it.
 
     Raises:
-        InvalidRequestError: When they have no cell in common.
+        InvalidRequestError: When no cell is common to all.
     """
-    cells = [cell for cell in first.cells if cell in second.cells]
-    if not cells and WHOLE not in (*first.cells, *second.cells):
-        raise InvalidRequestError(
-            f"policy '{name}': the tables have no cell in common: {', '.join(first.cells)}; and "
-            f"{', '.join(second.cells)}"
-        )
-    one, two = (_counts(arm.within(cells or arm.cells)) for arm in (first, second))
-    return PolicyCounts(name=name, first=one, second=two)
+    met = [
+        (name, [cell for cell, count in arm.by_cell.items() if count.episodes])
+        for name, both in policies.items() for arm in both if WHOLE not in arm.cells
+    ]  # fmt: skip
+    common = [cell for cell in met[0][1] if all(cell in cells for _, cells in met)] if met else []
+    if met and not common:
+        have = "; ".join(dict.fromkeys(f"{name}: {', '.join(cells)}" for name, cells in met))
+        raise InvalidRequestError(f"no cell is common to all policies and both tables ({have})")
+    return [
+        PolicyCounts(name=name, first=_counts(one, common), second=_counts(two, common))
+        for name, (one, two) in policies.items()
+    ]
 
 
-def _counts(arm: Arm) -> tuple[float, float]:
+def _counts(arm: Arm, cells: Sequence[str]) -> tuple[float, float]:
+    arm = arm if WHOLE in arm.cells else arm.within(cells)
     rollouts = equal_rollouts(arm)
     return arm.rate * rollouts, rollouts
 

@@ -170,6 +170,7 @@ def paired(first: Table, second: Table) -> list[PolicyCounts]:
 
     Raises:
         ConfigError: When they have fewer than `MIN_POLICIES` in common.
+        InvalidRequestError: When these have no cells in common; see `policy_counts`.
     """
     both = [name for name in first if name in second]
     single = {name for name in both for table in (first, second) if not _trainings(table, name).isdisjoint(both)}
@@ -180,7 +181,7 @@ def paired(first: Table, second: Table) -> list[PolicyCounts]:
             f"needs at least {MIN_POLICIES}: two points always lie on a line. They have {', '.join(first)}; and "
             f"{', '.join(second)}"
         )
-    return [policy_counts(name, first[name], second[name]) for name in common]
+    return policy_counts({name: (first[name], second[name]) for name in common})
 
 
 def correlated(first: Path, second: Sequence[Path], *, seed: int = 0) -> Correlation:

@@ -50,6 +50,12 @@ def test_tables_of_both_forms_are_matched_by_policy_and_cell(tmp_path):
     assert json.loads(data)["mmrv"]["value"] == 0
 
 
+def test_a_cell_that_one_policy_lacks_counts_for_none(tmp_path):
+    real = written(tmp_path / "real.csv", REAL)
+    ours = written(tmp_path / "ours.csv", REAL.replace("act,drawer,2,10\n", ""))
+    assert [p.rates for p in correlated(real, [ours]).policies] == [(0.8, 0.8), (0.5, 0.5), (0.0, 0.0)]
+
+
 @pytest.mark.parametrize(
     ("text", "error"),
     [
