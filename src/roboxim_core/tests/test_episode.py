@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from roboxim_core.actions import ActionSemantics
+from roboxim_core.actions import ActionSemantics, GripperRule
 from roboxim_core.episode import Draw, EpisodeRunner, Ports, RunConfig
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, PolicyError, SimError, TaskError
 from roboxim_core.models.library import ModelLibrary
@@ -120,9 +120,9 @@ class Actor:
         return answer if isinstance(answer, ActionChunk) else ActionChunk(actions=answer)
 
 
-def run(world, actor, **config):
+def run(world, actor, repeat=(), **config):
     ports = Ports(scenes=world, sim=world, actor=actor, judge=world, recorder=world, clock=lambda: 0.0)
-    return EpisodeRunner(ports, RunConfig(**{"output_dir": "/out", "settle_ticks": 2, **config}))
+    return EpisodeRunner(ports, RunConfig(**{"output_dir": "/out", "settle_ticks": 2, **config}), repeat=repeat)
 
 
 def test_success_is_judged_after_settling_and_every_tick_is_recorded():
@@ -168,6 +168,20 @@ def test_other_meanings_of_end_effector_actions_are_converted_tick_by_tick():
     np.testing.assert_allclose(world.executed[0], [0.03, 0, 0.01, 0, 0, 0, 0], atol=1e-7)
     assert world.info.semantics == world.semantics == ActionSemantics(), "the executed meaning is recorded"
     assert world.steps[1].action_label == tuple(world.executed[0].tolist())
+
+
+def test_repeated_actions_are_executed_as_they_are_and_then_the_actor_acts():
+    semantics = ActionSemantics(gripper="absolute_open_0_closed_1")
+    actor = Actor(semantics=semantics, gripper=GripperRule(binary=True, band=0.2), lag=(0.5,) * 6, window=2)
+    repeated = [(0.5, 0.0, 0.0, 0.0, 0.0, 0.0, opening) for opening in (0.45, 1.0)]
+    world = World(goal=100.0)
+    runner = run(world, actor, max_steps=4, latency_ticks=1, repeat=repeated)
+    assert runner.run_index(0).steps == 4
+    np.testing.assert_allclose(world.executed[:2], repeated, atol=1e-7)
+    assert world.steps[1].action_label == pytest.approx(repeated[0])
+    assert [window.seq for window in actor.windows] == [2, 3]
+    assert [observation.seq for observation in actor.windows[0].observations] == [1, 2]
+    assert world.executed[3][6] == 0.0, "the actor's own answers are converted"
 
 
 def test_the_grippers_rule_applies_to_the_executed_opening_and_a_run_may_set_it():

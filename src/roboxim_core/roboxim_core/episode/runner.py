@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -128,6 +128,7 @@ class EpisodeRunner:
         *,
         versions: dict[str, str] | None = None,
         library: ModelLibrary | None = None,
+        repeat: Sequence[Sequence[float]] = (),
     ) -> None:
         """Prepare a run: ask the actor for its description.
 
@@ -136,6 +137,9 @@ class EpisodeRunner:
             config: Configuration of the run.
             versions: Package name to version, for the bags.
             library: Robots and objects, whose hashes are recorded in the bags; None: no hashes.
+            repeat: Actions that every episode begins with, in the executed meaning, one per tick: of an episode from
+                whose state the actor takes over. The simulator is deterministic, so they restore its state, contacts
+                and the solver's memory included. The actor's conventions do not apply to them.
 
         Raises:
             RoboximError: When the actor does not describe itself.
@@ -145,6 +149,7 @@ class EpisodeRunner:
         self.config = config
         self.versions = dict(versions or {})
         self._library = library
+        self.repeat = repeat
         self.description = ports.actor.describe()
         _require_consistent(self.description, config)
         self.warm = False
@@ -348,6 +353,10 @@ class _Episode:
                 if self.counts["steps"] >= self.max_steps:
                     return "failure", "max_steps", ""
                 self._observe()
+                if self.state.seq < len(self.runner.repeat):
+                    action = np.array(self.runner.repeat[self.state.seq], np.float32)
+                    self._tick(TickAction(action=action))
+                    continue
                 if self.acting.finished(self.state.seq):
                     return "failure", "actor_finished", ""
                 if self.acting.due(self.state.seq):

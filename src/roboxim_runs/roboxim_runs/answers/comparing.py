@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from roboxim_core.config import to_plain
 from roboxim_core.episode import ActorPort, Draw, RunConfig
 from roboxim_core.errors import ConfigError, ErrorCode, SimError, TaskError
+from roboxim_core.plain_data.differences import differences
 from roboxim_core.seeds import SeedPath
 from roboxim_eval.answers.moments import SceneComparison, first_success, phase_at
-from roboxim_runs.answers.hand_over import HandOver
-from roboxim_runs.answers.trying import Try, TryBench
+from roboxim_runs.answers.trying import Try, TryBench, executed_actions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,19 +38,16 @@ def compare(
     Args:
         bench: Cores to run episodes with.
         first: A policy.
-        second: Another one of the same control mode.
+        second: Another one whose actions are executed with the same meaning, limits and rate.
         config: What is compared.
         on_scene: Called with each scene.
         on_part: Called before each run with the scene's number and what runs, in a few words.
 
     Raises:
-        ConfigError: When the policies act by different control modes.
+        ConfigError: When the policies' actions are executed with different meanings, limits or rates.
         PolicyError: When a policy raises.
         RoboximError: When a scene cannot be drawn or breaks a constraint, or on a fault of the simulator.
     """
-    modes = {actor.describe().semantics.control for actor in (first, second)}
-    if len(modes) > 1:
-        raise ConfigError(f"policies that act by {' and '.join(sorted(modes))} cannot take over from each other")
     found = []
     for number in range(config.scenes):
         seed = SeedPath(run_seed=config.seed, purpose="eval", index=number)
@@ -68,6 +66,7 @@ class _Scene:
 
     def compared(self, first: ActorPort, second: ActorPort) -> SceneComparison:
         one, two = (self._alone(name, actor) for name, actor in (("first", first), ("second", second)))
+        _require_same_execution(one, two)
         parted = diverging(one, two)
         outcome = (one.success, two.success)
         result = SceneComparison(scene=self._seed.index, outcome=outcome, diverge_at=parted)
@@ -102,12 +101,25 @@ class _Scene:
             SimError: With code ``DIVERGED`` when the simulator does not repeat the episode up to the tick.
         """
         self._on_part(self._seed.index, f"swapped at tick {tick}")
-        handed = HandOver(before.states, tick, then)
-        after = self._bench.run(self._draw, handed, self._seed, config=self._run)
+        repeat = executed_actions(before.states, tick)
+        after = self._bench.run(self._draw, then, self._seed, config=self._run, repeat=repeat)
         for recorded, repeated in zip(before.states[: tick + 1], after.states, strict=False):
             if recorded.state_hash != repeated.state_hash:
                 raise SimError(f"the simulator does not repeat tick {recorded.seq} of the episode", ErrorCode.DIVERGED)
         return after.success
+
+
+def _require_same_execution(one: Try, two: Try) -> None:
+    """Refuse policies of which one cannot repeat the executed actions of the other."""
+    assert one.info is not None
+    assert two.info is not None
+    first, second = to_plain(one.info.semantics), to_plain(two.info.semantics)
+    if first != second:
+        words = ("of the first", "of the second")
+        raise ConfigError(
+            "the policies cannot take over from each other, since their actions are executed differently: "
+            f"{differences(first, second, words=words)}"
+        )
 
 
 def diverging(one: Try, two: Try) -> int | None:

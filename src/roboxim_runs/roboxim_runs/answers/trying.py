@@ -160,7 +160,7 @@ class TryBench:
 
     def run(
         self, draw: Draw, actor: ActorPort, seed: SeedPath, *, config: RunConfig | None = None,
-        sim: SimPort | None = None, bags: Path | None = None,
+        sim: SimPort | None = None, bags: Path | None = None, repeat: Sequence[Sequence[float]] = (),
     ) -> Try:  # fmt: skip
         """Run an episode to its end.
 
@@ -171,6 +171,7 @@ class TryBench:
             config: Configuration of the run; none: the default.
             sim: The simulator's port; none: the graph's.
             bags: Folder for a bag of it; none: there is none.
+            repeat: Executed actions to begin with; see `executed_actions`.
 
         Raises:
             PolicyError: When the actor raises, or answers what cannot be executed: that is no failure at the task.
@@ -181,7 +182,7 @@ class TryBench:
         recorder_of_states = StateKeeper(self.graph.sim)
         recorder = recorder_of_states if bags is None else CoreRecorder(self.graph.sim, bags.absolute())
         given = replace(config or RunConfig(), output_dir=IN_MEMORY)
-        runner = episode_loop(self.graph, draw, actor, recorder, config=given, sim=sim)
+        runner = episode_loop(self.graph, draw, actor, recorder, config=given, sim=sim, repeat=repeat)
         self.runs += 1
         result = runner.run_attempt(seed)
         tried = Try(result=result, states=tuple(recorder_of_states.states), info=recorder_of_states.info)
@@ -191,6 +192,16 @@ class TryBench:
                 f"at the task: {result.message}; mend the policy and run the command again"
             )
         return tried
+
+
+def executed_actions(states: Sequence[StateRecord], tick: int) -> list[tuple[float, ...]]:
+    """Return the actions that led to a tick, in the executed meaning.
+
+    Args:
+        states: States of an episode from tick 0, each with the action that led to it.
+        tick: The tick.
+    """
+    return [state.action_executed for state in states[1 : tick + 1]]
 
 
 def seed_of(info: EpisodeInfo) -> SeedPath:
@@ -215,4 +226,7 @@ def recorded_run(info: EpisodeInfo) -> tuple[RunConfig, Draw]:
     return config, Draw(task=info.task, scene=info.scene, max_steps=config.max_steps, config_json=task)
 
 
-__all__ = ["IN_MEMORY", "GivenScene", "StateKeeper", "Try", "TryBench", "episode_loop", "recorded_run", "seed_of"]
+__all__ = [
+    "IN_MEMORY", "GivenScene", "StateKeeper", "Try", "TryBench", "episode_loop", "executed_actions", "recorded_run",
+    "seed_of",
+]  # fmt: skip

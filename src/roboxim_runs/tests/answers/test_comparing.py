@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from planted_causes import DEFECTS, RELEASE_M, Defective
 
 from roboxim_bringup.core_graph import CoreActor
+from roboxim_core.actions import ANY_RATE, ActionSemantics
 from roboxim_core.episode import RunConfig
-from roboxim_core.errors import SimError
+from roboxim_core.errors import ConfigError, SimError
+from roboxim_core.policies import PolicyDescription
 from roboxim_core.seeds import SeedPath
 from roboxim_eval.answers.moments import SceneComparison, events_of, first_success, summary
 from roboxim_runs.answers.comparing import CompareRun, compare
@@ -44,13 +48,25 @@ def planted_moment(states, defect):
     return next(tick for tick, height in enumerate(heights) if height >= RELEASE_M[1])
 
 
-def benchmark(bench, defect, scenes):
+class OtherConvention(Defective):
+    """The defective policy with the gripper's numbers the other way round."""
+
+    semantics = ActionSemantics(rate_hz=ANY_RATE, gripper="absolute_open_0_closed_1")
+
+    def act(self, window):
+        chunk = super().act(window)
+        actions = np.array(chunk.actions)
+        actions[:, -1] = 1.0 - actions[:, -1]
+        return replace(chunk, actions=actions)
+
+
+def benchmark(bench, defect, scenes, policy=Defective):
     """Return how many deciding moments are the planted ones, of how many failures, by chance, runs and seconds."""
     config = CompareRun(
         task_config=task_text("pick_cube"), scenes=scenes, run=RunConfig(image_width=64, image_height=64)
     )
     before, began = bench.runs, time.monotonic()
-    found = compare(bench, bench.expert, CoreActor(Defective(defect=defect)), config)
+    found = compare(bench, bench.expert, CoreActor(policy(defect=defect)), config)
     runs, seconds = bench.runs - before, time.monotonic() - began
     lost = [one for one in found if one.outcome == (True, False)]
     right, chance = 0, 0.0
@@ -65,8 +81,9 @@ def benchmark(bench, defect, scenes):
     return right, len(lost), chance / max(1, len(lost)), runs / scenes, seconds / scenes
 
 
-def test_a_late_grasp_is_found(bench):
-    right, lost, _, _, _ = benchmark(bench, "late_grasp", 1)
+@pytest.mark.parametrize("policy", [Defective, OtherConvention])
+def test_a_late_grasp_is_found(bench, policy):
+    right, lost, _, _, _ = benchmark(bench, "late_grasp", 1, policy)
     assert (right, lost) == (1, 1)
 
 
@@ -74,6 +91,14 @@ def test_equal_policies_never_differ(bench):
     config = CompareRun(task_config=task_text("pick_cube"), scenes=1, run=IMAGES)
     (one,) = compare(bench, bench.expert, bench.expert, config)
     assert (one.outcome, one.diverge_at, one.decides_at) == ((True, True), None, None)
+
+
+def test_policies_that_are_executed_at_other_rates_are_refused(bench):
+    config = CompareRun(task_config=task_text("pick_cube"), scenes=1, run=replace(IMAGES, max_steps=2))
+    slow = CoreActor(Defective())
+    slow.describe = lambda: PolicyDescription(name="slow", semantics=ActionSemantics(rate_hz=5.0), privileged=True)
+    with pytest.raises(ConfigError, match=r"rate_hz: 10.0 of the first, 5.0 of the second"):
+        compare(bench, bench.expert, slow, config)
 
 
 def test_bisection_and_summary():

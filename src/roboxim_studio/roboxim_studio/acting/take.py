@@ -118,6 +118,7 @@ def interrupted(info: EpisodeInfo, state: StateRecord, verdict: Verdict) -> Epis
 def begin(
     graph: CoreGraph, draw: Draw, actor: ActorPort, recorder: FilmRecorder, seed: SeedPath, *, config: RunConfig,
     sim: SimPort | None = None, versions: dict[str, str] | None = None, cancelled: Callable[[], bool] = lambda: False,
+    repeat: Sequence[Sequence[float]] = (),
 ) -> tuple[EpisodeRunner, Play]:  # fmt: skip
     """Return the loop of an episode, ready to be played.
 
@@ -131,17 +132,19 @@ def begin(
         sim: The simulator's port; none: the graph's.
         versions: Package to version, for a bag.
         cancelled: Called before every tick; True ends the episode.
+        repeat: Executed actions to begin with; see `EpisodeRunner`.
     """
     runner = episode_loop(
-        graph, draw, actor, recorder, config=config, sim=sim, versions=versions, library=graph.sim.library
-    )
+        graph, draw, actor, recorder, config=config, sim=sim, versions=versions, library=graph.sim.library,
+        repeat=repeat,
+    )  # fmt: skip
     return runner, runner.play(seed, cancelled)
 
 
 def take(
     graph: CoreGraph, draw: Draw, actor: ActorPort, seed: SeedPath, *, config: RunConfig | None = None,
     sim: SimPort | None = None, bags: Path | None = None, on_tick: OnTick = lambda *_: None,
-    cancelled: Callable[[], bool] = lambda: False,
+    cancelled: Callable[[], bool] = lambda: False, repeat: Sequence[Sequence[float]] = (),
 ) -> Film:  # fmt: skip
     """Run an episode to its end with an actor.
 
@@ -155,6 +158,7 @@ def take(
         bags: Folder for its bag; none: it stays in memory.
         on_tick: Called with every tick.
         cancelled: Called before every tick; True ends the episode.
+        repeat: Executed actions to begin with; see `EpisodeRunner`.
 
     Raises:
         TaskError: With code ``RESET_INFEASIBLE`` when the episode cannot begin.
@@ -163,7 +167,7 @@ def take(
     from roboxim_bringup.core_graph import CoreRecorder
 
     recorder = FilmRecorder(graph.sim, bags=CoreRecorder(graph.sim, bags) if bags else None, on_tick=on_tick)
-    runner, _ = begin(graph, draw, actor, recorder, seed, config=config or RunConfig(), sim=sim)
+    runner, _ = begin(graph, draw, actor, recorder, seed, config=config or RunConfig(), sim=sim, repeat=repeat)
     result = runner.run_attempt(seed, cancelled)
     if recorder.film is None:
         raise TaskError(result.message or f"the episode did not begin: {result.reason}", ErrorCode.RESET_INFEASIBLE)

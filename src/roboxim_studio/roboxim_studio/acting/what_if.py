@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 from roboxim_core.actions import ActionArray, ActionSemantics
 from roboxim_core.episode import ActorPort, Draw, RunConfig
 from roboxim_core.errors import ConfigError, ErrorCode, SimError, one_of
-from roboxim_core.policies import Observation, PolicyDescription
+from roboxim_core.policies import ActionChunk, EpisodeStart, Observation, ObservationWindow, PolicyDescription
 from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
-from roboxim_runs.answers.hand_over import HandOver
+from roboxim_runs.answers.trying import executed_actions
 from roboxim_studio.acting.take import OnTick, take
 from roboxim_studio.episode.film import Film
 from roboxim_tasks.roles import task_distractors
@@ -83,10 +83,7 @@ def simulate(
     """
     task, scene = _checked(film, question, actor)
     same = not question.without
-    recorded = PolicyDescription(
-        name=RECORDED.replace(" ", "_"), semantics=film.info.semantics, version=film.info.actor_version
-    )
-    handed = HandOver(film.states, question.tick, actor, recorded=recorded, last=film.result.steps)
+    repeat = executed_actions(film.states, film.result.steps if actor is None else question.tick)
     sim = Disturbing(graph.sim, film, question, require_same=same)
     info = film.info
     seed = SeedPath(run_seed=info.run_seed, purpose=info.purpose, index=info.index, attempt=info.attempt)
@@ -96,7 +93,10 @@ def simulate(
         run_seed=info.run_seed, purpose=info.purpose, max_steps=max_ticks, rate_hz=scene.control_rate_hz,
         stop_on_success=actor is not None,
     )  # fmt: skip
-    other = take(graph, draw, handed, seed, config=config, sim=sim, on_tick=on_tick, cancelled=cancelled)
+    other = take(
+        graph, draw, actor or _Recorded(film), seed, config=config, sim=sim, on_tick=on_tick, cancelled=cancelled,
+        repeat=repeat,
+    )  # fmt: skip
     other = replace(other, title=f"{info.episode_id}: {question.actor} from tick {question.tick}")
     return Answer(film=other, differs_at=first_difference(film, other))
 
@@ -129,6 +129,25 @@ def _checked(film: Film, question: Question, actor: ActorPort | None) -> tuple[T
                 "choose an actor of the same control mode"
             )
     return task, scene
+
+
+class _Recorded:
+    """Who acted in an episode that is repeated to its last action."""
+
+    def __init__(self, film: Film) -> None:
+        self._info = film.info
+
+    def describe(self) -> PolicyDescription:
+        """Return the description of the recorded actions."""
+        name, info = RECORDED.replace(" ", "_"), self._info
+        return PolicyDescription(name=name, semantics=info.semantics, version=info.actor_version)
+
+    def reset(self, start: EpisodeStart) -> None:
+        """Start an episode."""
+
+    def act(self, window: ObservationWindow) -> ActionChunk:
+        """Never called: the loop repeats the actions."""
+        raise AssertionError("every action is recorded")
 
 
 class Disturbing:
