@@ -25,8 +25,8 @@ from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.roles import SPOKEN, Role
 from roboxim_tasks.sampling.exclusions import MODEL, all_excluded
 from roboxim_tasks.sequences import skill_of
-from roboxim_tasks.skills import Skill
-from roboxim_tasks.task_config import DistractorConfig, ObjectConfig, TaskConfig
+from roboxim_tasks.skills import SKILLS, Skill
+from roboxim_tasks.task_config import DistractorConfig, ObjectConfig, StepConfig, TaskConfig
 
 MAX_COMBINATIONS = 1000
 """Largest number of combinations of arguments that are all checked."""
@@ -159,37 +159,53 @@ def check_arguments(document: Document, config: TaskConfig, library: ModelLibrar
     Raises:
         ConfigError: On the first invalid argument.
     """
-    skill = skill_of(config)
     models = {
         role: [library.object(str(model)) for model in objects.models.values]
         for role, objects in config.objects.items()
     }
+    for number, step in enumerate(config.steps):
+        own = {role: models[filled] for role, filled in step.roles.items()}
+        _check_arguments(document, ("steps", number), SKILLS[step.skill], step, own)
+    if not config.steps:
+        _check_arguments(document, (), skill_of(config), config, models)
+    elif reason := _mismatch(skill_of(config), config.parameters, models):
+        raise document.error(("objects",), reason)
+
+
+def _check_arguments(
+    document: Document,
+    path: Path,
+    skill: Skill,
+    given: TaskConfig | StepConfig,
+    models: Mapping[str, Sequence[ObjectModel]],
+) -> None:
+    """Check the parameters, lenient parameters and arguments of a task of one skill, or of a step."""
     hints = get_type_hints(skill.Parameters)
-    for name, choice in config.arguments.items():
-        document.require(("arguments", name), name, asdict(config.parameters))
-        with document.section(("arguments", name)):
+    for name, choice in given.arguments.items():
+        document.require((*path, "arguments", name), name, asdict(given.parameters))
+        with document.section((*path, "arguments", name)):
             if hints[name] is float:
                 choice.require_numbers("values")
             elif wrong := [value for value in choice.ends if type(value) is not hints[name]]:
                 raise ConfigError(f"expected {hints[name].__name__}, got {wrong[0]!r}")
-    for key, base in (("parameters", config.parameters), ("lenient", config.lenient)):
-        for drawn in _combinations(config.arguments):
-            with document.section(
-                ("arguments", *drawn)[:2] if len(drawn) == 1 else ("arguments",) if drawn else (key,)
-            ):
-                skill.check(replace(base, **drawn), models)
-            with document.section(("objects",)):
-                _check_together(skill, replace(base, **drawn), models)
+    for key, base in (("parameters", given.parameters), ("lenient", given.lenient)):
+        for drawn in _combinations(given.arguments):
+            where = ("arguments", *drawn)[:2] if len(drawn) == 1 else ("arguments",) if drawn else (key,)
+            with document.section((*path, *where)):
+                parameters = replace(base, **drawn)
+                skill.check(parameters, models)
+            if reason := _mismatch(skill, parameters, models):
+                raise document.error(path or ("objects",), reason)
 
 
-def _check_together(skill: Skill, parameters: Any, models: Mapping[str, Sequence[ObjectModel]]) -> None:
-    """Refuse roles without any valid combination of models."""
-    reasons = [
-        skill.mismatch(parameters, dict(zip(models, combination, strict=True)))
-        for combination in itertools.product(*models.values())
-    ]
-    if reasons and all(reasons):
-        raise ConfigError("; ".join(dict.fromkeys(reasons)))
+def _mismatch(skill: Skill, parameters: Any, models: Mapping[str, Sequence[ObjectModel]]) -> str:
+    """Return why no combination of models is valid; empty if one is."""
+    reasons: dict[str, None] = {}
+    for combination in itertools.product(*models.values()):
+        if not (reason := skill.mismatch(parameters, dict(zip(models, combination, strict=True)))):
+            return ""
+        reasons[reason] = None
+    return "; ".join(reasons)
 
 
 def _combinations(arguments: Mapping[str, Choice]) -> Iterator[dict[str, Scalar]]:
@@ -219,14 +235,16 @@ def check_templates(document: Document, config: TaskConfig) -> None:
     Raises:
         ConfigError: On the first template that names others.
     """
-    if config.templates is None:
-        return
-    skill = skill_of(config)
-    with document.section(()):
-        config.templates.require_words("templates", "instructions with roles in braces")
-    for template in map(str, config.templates.values):
-        with document.section(("templates",)):
-            check_names(template, skill)
+    given: list[tuple[Path, Choice | None, Skill]] = [((), config.templates, skill_of(config))]
+    given += [(("steps", n), step.templates, SKILLS[step.skill]) for n, step in enumerate(config.steps)]
+    for path, templates, skill in given:
+        if templates is None:
+            continue
+        with document.section(path):
+            templates.require_words("templates", "instructions with roles in braces")
+        with document.section((*path, "templates")):
+            for template in map(str, templates.values):
+                check_names(template, skill)
 
 
 def check_names(template: str, skill: Skill) -> None:

@@ -51,13 +51,14 @@ def read_instruction(
         library: The models.
         templates: Skill to further templates, beside the skill's own.
     """
-    parts = sentences_of(text)
+    parts, order = sentences_of(text)
     if len(parts) > 1:
         readings = [read_instruction(part, scene, library, templates) for part in parts]
         if all(reading.understood for reading in readings):
             chosen = itertools.product(*(reading.tasks for reading in readings))
             absent = dict.fromkeys(thing for reading in readings for thing in reading.absent)
-            return Reading(understood=True, tasks=tuple(task_of(steps, text) for steps in chosen), absent=tuple(absent))
+            tasks = tuple(task_of(steps, text, order) for steps in chosen)
+            return Reading(understood=True, tasks=tasks, absent=tuple(absent))
     return _read_one(text, scene, library, templates)
 
 

@@ -10,7 +10,7 @@ from roboxim_core.config import load_yaml, named_config, parse_yaml
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.plain_data.wordings import _sets, names_in, reworded, set_names, wordings_of
+from roboxim_core.plain_data.wordings import _sets, english_wordings, names_in, reworded, set_names, wordings_of
 from roboxim_core.seeds import SeedPath
 from roboxim_tasks.config import load_task_config, task_config
 from roboxim_tasks.meaning import _match, asks_for_same, read_instruction
@@ -237,3 +237,9 @@ def test_a_role_may_be_named_twice(tmp_path, monkeypatch):
     monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path))
     assert reworded("Take the red cube and lift the red cube", "mine") == ("Raise the red cube",)
     assert reworded("Take the red cube and lift the mug", "mine") == ()
+
+
+def test_wordings_ask_for_what_the_verdict_demands():
+    """A push must not lift the object, and "over to" would be beside the support."""
+    assert not [text for text in english_wordings("push_object") if re.match("move|bring|take|carry", text, re.I)]
+    assert all(re.search(r"\bon(to)? (top of )?the {support}", text) for text in english_wordings("place_on"))

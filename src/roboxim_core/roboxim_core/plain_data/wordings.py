@@ -117,7 +117,7 @@ def _pattern(file: File) -> re.Pattern[str]:
     for text, name, _, _ in Formatter().parse(content[FIRST]):
         pattern += re.escape(text)
         if name:
-            words = "|".join(re.escape(str(word)) for word in slots.get(name, ())) or r"(?:(?!\bthen\b)[^,])+?"
+            words = "|".join(re.escape(str(word)) for word in slots.get(name, ())) or r"(?:(?!\b(?:then|also)\b)[^,])+?"
             pattern += f"(?P={name})" if f"(?P<{name}>" in pattern else f"(?P<{name}>{words})"
     return re.compile(pattern, re.IGNORECASE)
 

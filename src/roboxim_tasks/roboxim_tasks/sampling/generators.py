@@ -67,6 +67,16 @@ class GenerationContext:
         assert self.config.templates is not None
         return str(self.config.templates.draw(self.seed.rng("instruction"), self.index))
 
+    def step_template(self, number: int) -> str:
+        """Return the drawn template of a step's own sentence; each step has its own random stream.
+
+        Args:
+            number: Number of the step, from 1.
+        """
+        templates = self.config.steps[number - 1].templates
+        assert templates is not None
+        return str(templates.draw(self.seed.rng(f"step_{number}/instruction"), self.index))
+
     @cached_property
     def wording(self) -> Wording:
         """The objects that the instruction names."""
@@ -82,7 +92,15 @@ class GenerationContext:
         drawn = {role: thing.model for role, thing in named.items()}
         for role, thing in named.items():
             drawn |= {f"{role}.{name}": choice_text(value) for name, value in thing.modifiers.items()}
-        drawn |= {name: choice_text(task.arguments[name]) for name in self.config.arguments if name in task.arguments}
+        steps = list(enumerate(self.config.steps, start=1))
+        varied = [
+            *self.config.arguments,
+            *(f"step_{number}.{name}" for number, step in steps for name in step.arguments),
+        ]
+        drawn |= {name: choice_text(task.arguments[name]) for name in varied if name in task.arguments}
+        for number, step in steps:
+            if step.templates is not None and len(step.templates.values) > 1:
+                drawn[f"step_{number}.template"] = self.step_template(number)
         if self.config.templates is not None and len(self.config.templates.values) > 1:
             drawn["template"] = self.template
         if self.config.steps:

@@ -23,7 +23,7 @@ from roboxim_tasks.motion import ExpertScene, Stage
 from roboxim_tasks.roles import STAY, Role, description
 from roboxim_tasks.sampling.generators import GenerationContext, generate_distractors, generate_objects
 from roboxim_tasks.sequences.progress import Progress
-from roboxim_tasks.sequences.steps import arguments_of, is_sequence, joined, own_objects, steps_of
+from roboxim_tasks.sequences.steps import ORDER, arguments_of, is_sequence, joined, own_objects, steps_of, templates_of
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.skills.base import Skill
 from roboxim_tasks.task_config import DistractorConfig, ObjectConfig, StepConfig, TaskConfig
@@ -49,12 +49,13 @@ class Sequence(Skill):
 
     Parameters = SequenceParameters
 
-    def __init__(self, steps: Many[StepConfig]) -> None:
+    def __init__(self, steps: Many[StepConfig], order: str) -> None:
         """Compose steps.
 
         Args:
             steps: The steps; their ``roles`` name a role of the task for each role of the skill, or omit it if it has
                 the same name.
+            order: ``fixed`` or ``any``.
         """
         self.steps = tuple(replace(s, roles={r: s.roles.get(r, r) for r in SKILLS[s.skill].roles}) for s in steps)
         self.skills = tuple(SKILLS[step.skill] for step in steps)
@@ -62,31 +63,21 @@ class Sequence(Skill):
         for step, skill in zip(self.steps, self.skills, strict=True):
             for own, role in step.roles.items():
                 fills.setdefault(role, []).append(skill.roles[own])
-        numbered = [f"step_{number}" for number in range(1, len(steps) + 1)]
-        first, *rest = (f"{{{name}}}" for name in numbered)
-        then = ", then ".join((first, *rest))
         vars(self).update(
             name=joined(step.skill for step in steps),
             roles={role: _joint_role(roles) for role, roles in fills.items()},
-            words=tuple(numbered),
-            templates=(then, f"First {then}", " and then ".join((first, *rest))),
+            words=tuple(f"step_{number}" for number in range(1, len(steps) + 1)),
+            templates=templates_of(len(steps), order),
             components=tuple(dict.fromkeys(name for skill in self.skills for name in skill.components)),
             max_steps=sum(skill.max_steps for skill in self.skills),
         )
-
-    def check(self, parameters: Any, models: Mapping[str, Many[ObjectModel]]) -> None:
-        """Refuse steps whose parameters do not suit the objects."""
-        for step, skill in zip(self.steps, self.skills, strict=True):
-            step_models = {own: models[role] for own, role in step.roles.items()}
-            for drawn in _combinations(step):
-                skill.check(replace(step.parameters, **drawn), step_models)
 
     def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
         """Return why models do not go together in some step; empty if they do."""
         for number, (step, skill) in enumerate(zip(self.steps, self.skills, strict=True), start=1):
             step_models = {own: models[role] for own, role in step.roles.items()}
-            for drawn in _combinations(step):
-                if reason := skill.mismatch(replace(step.parameters, **drawn), step_models):
+            for base, drawn in itertools.product(dict.fromkeys((step.parameters, step.lenient)), _combinations(step)):
+                if base is not None and (reason := skill.mismatch(replace(base, **drawn), step_models)):
                     return f"step {number}: {reason}"
         return ""
 
@@ -143,7 +134,8 @@ class Sequence(Skill):
             arguments=step.arguments, templates=step.templates, objects=objects, exclude=(),
             distractors=DistractorConfig(),
         )  # fmt: skip
-        return replace(context, config=config, roles=skill.roles, mismatch=skill.mismatch)
+        text = context.step_template(number + 1)
+        return replace(context, config=config, roles=skill.roles, mismatch=skill.mismatch, text=text)
 
     def _instruction(self, template: str, contexts: Many[GenerationContext]) -> str:
         """Return a template that contains each step's own template, with roles of the sequence."""
@@ -169,7 +161,7 @@ def skill_of(thing: TaskSpec | TaskConfig) -> Skill:
     if not is_sequence(thing.skill):
         return _known(thing.skill)
     if isinstance(thing, TaskConfig) and thing.steps:
-        return Sequence(thing.steps)
+        return Sequence(thing.steps, thing.order)
     if isinstance(thing, TaskConfig):
         raise TaskError(f"'{thing.skill}' needs its 'steps'", ErrorCode.UNKNOWN_SKILL)
     whole = {entity: role for role, entity in ((r, t.entity) for r, t in thing.objects.items())}
@@ -177,7 +169,7 @@ def skill_of(thing: TaskSpec | TaskConfig) -> Skill:
     for task in steps_of(thing):
         roles = {own: whole[entity] for own, entity in own_objects(task).items()}
         steps.append(StepConfig(skill=task.skill, roles=roles, parameters=_known(task.skill).Parameters()))
-    return Sequence(steps)
+    return Sequence(steps, str(thing.arguments.get(ORDER, "fixed")))
 
 
 def _known(name: str) -> Skill:

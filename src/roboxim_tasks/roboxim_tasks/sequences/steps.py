@@ -17,9 +17,12 @@ from roboxim_tasks.roles import STAY, task_distractors
 
 JOINED = "+"
 """Joins the skills of a sequence in its name, e.g. ``put_into+close_drawer``."""
-BETWEEN = re.compile(r",? and then |, then | then ", re.IGNORECASE)
-"""What stands between the sentences of steps in the templates of a sequence."""
-FIRST = re.compile(r"first ", re.IGNORECASE)
+BETWEEN = {
+    "fixed": re.compile(r",? and then |, then | then ", re.IGNORECASE),
+    "any": re.compile(r",? and also |, also ", re.IGNORECASE),
+}
+"""What stands between the sentences of steps in the templates of a sequence, by its order."""
+BEFORE = re.compile(r"first |in any order: ", re.IGNORECASE)
 """What may stand before them."""
 MAX_STEPS = 5
 ORDERS = ("fixed", "any")
@@ -58,9 +61,28 @@ def arguments_of(steps: Iterable[tuple[TaskSpec, Mapping[str, str]]], order: str
     return arguments | ({"joint": joints[0]} if joints else {})
 
 
-def sentences_of(text: str) -> list[str]:
-    """Return the sentences of the steps that a text joins as the templates of a sequence do; one if it joins none."""
-    return BETWEEN.split(FIRST.sub("", text.strip(), count=1) if FIRST.match(text.strip()) else text.strip())
+def templates_of(count: int, order: str) -> tuple[str, ...]:
+    """Return the templates that join a number of steps; the first is canonical.
+
+    Args:
+        count: Number of steps.
+        order: ``fixed`` or ``any``; a template says no order that does not count.
+    """
+    steps = [f"{{step_{number}}}" for number in range(1, count + 1)]
+    if order == "any":
+        return " and also ".join(steps), f"In any order: {', also '.join(steps)}", ", also ".join(steps)
+    then = ", then ".join(steps)
+    return then, f"First {then}", " and then ".join(steps)
+
+
+def sentences_of(text: str) -> tuple[list[str], str]:
+    """Return the sentences of the steps that a text joins as the templates of a sequence do, and their order.
+
+    A text that joins none is one sentence.
+    """
+    text = text.strip()
+    order = "fixed" if BETWEEN["fixed"].search(text) else "any"
+    return BETWEEN[order].split(text[found.end() :] if (found := BEFORE.match(text)) else text), order
 
 
 def task_of(steps: Iterable[TaskSpec], instruction: str, order: str = "fixed") -> TaskSpec:

@@ -100,7 +100,7 @@ class PushObject(Skill):
     name = "push_object"
     roles = {"target": Role(affordance="pushable")}
     words = ("direction",)
-    templates = ("Push the {target} {direction}", "Slide the {target} {direction}", "Move the {target} {direction}")
+    templates = ("Push the {target} {direction}", "Slide the {target} {direction}", "Nudge the {target} {direction}")
     moving_fingers = 2
     max_steps = 100
     Parameters = PushObjectParameters
