@@ -176,8 +176,9 @@ class EpisodeWorld:
 
         Raises:
             ConfigError: When a model, modifier or camera parent is unknown; the old world then remains.
-            InvalidRequestError: When the robot's start is beyond its limits.
-            EvaluationError: With code ``SEMANTICS_MISMATCH`` when the simulator does not execute these semantics.
+            InvalidRequestError: When the robot's start is beyond its limits; the old world then remains.
+            EvaluationError: With code ``SEMANTICS_MISMATCH`` when the simulator does not execute these semantics; the
+                old world then remains. After any other error no scene is loaded.
         """
         semantics = _executable(semantics, scene)
         model = self.library.robot(scene.robot.model)
@@ -187,7 +188,7 @@ class EpisodeWorld:
         joints = self._start_joints(scene, arm)
         models = {entity.name: self.library.entity_model(entity) for entity in scene.entities}
         ScenePoses(scene, self.library, arm)
-        self._scene = None  # until the new world is complete
+        self.unload()  # until the new world is complete
 
         self.physics.build(scene, model, joints, models)
         make = JointController if semantics.control.is_joint_space else DeltaController
@@ -196,11 +197,8 @@ class EpisodeWorld:
         )
         self._semantics = semantics
         self._command = self._controller.start(joints, scene.robot.gripper_opening)
-        self._moving = False
-        self._loads += 1
         self._steps_per_tick = round(scene.physics_rate_hz / scene.control_rate_hz)
         self._step_ns = 1e9 / scene.physics_rate_hz
-        self._scene = self._tick0_scene = scene
         self._scene_hash = digest(scene)
         self._rewatch()
         self._advance(max(0, scene.settle_steps - self._steps_per_tick))
@@ -212,7 +210,13 @@ class EpisodeWorld:
         self._record = self._read()
         self._actions: list[tuple[float, ...]] = []
         self._hashes = [self._record.state_hash]
+        self._scene = self._tick0_scene = scene
         return self._record
+
+    def unload(self) -> None:
+        """Remove the scene: no episode holds the world, and requests fail with ``NO_SCENE`` until a scene is loaded."""
+        self._scene, self._episode_id, self._moving = None, "", False
+        self._loads += 1
 
     def release(self, episode_id: str = "") -> None:
         """Release the world from an episode; its state does not change.

@@ -7,6 +7,7 @@ coroutine that yields to the executor after every control period, so that it can
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -133,15 +134,45 @@ class SimNode(SimServer):
         renderer: str = "",
         semantics: ActionSemantics | None = None,
     ) -> StateRecord:
-        """Load a scene and publish tick 0; after a failure no episode holds the sim."""
-        for camera in scene.cameras:
-            limits.require_name("camera", camera.name, topic=True)
-        if scene.cameras:
-            self._renderer(renderer or self.config.renderer, "live")
-        self._renderer_name = renderer or self.config.renderer
-        record = self.world.load(scene, episode_id, semantics)
-        self._publish_or_release(record)
+        """Load a scene and publish tick 0; see `_replace_world`."""
+        renderer = renderer or self.config.renderer
+        return self._replace_world(scene, renderer, lambda: self.world.load(scene, episode_id, semantics))
+
+    def _replace_world(self, scene: SceneSpec, renderer: str, make: Callable[[], StateRecord]) -> StateRecord:
+        """Replace the world and publish its state.
+
+        After a failure no episode holds the sim. A scene that is refused leaves the old one; otherwise none is loaded.
+
+        Args:
+            scene: Scene of the new world.
+            renderer: Name of its renderer.
+            make: Replaces the world and returns its state.
+        """
+        try:
+            for camera in scene.cameras:
+                limits.require_name("camera", camera.name, topic=True)
+            if scene.cameras:
+                self._renderer(renderer, "live")
+            record = make()
+        except Exception:
+            self._forget(unload=not self.world.loaded)
+            raise
+        self._renderer_name = renderer
+        try:
+            self._show_world()
+            self.publish(record)
+        except Exception:
+            self._forget(unload=True)
+            raise
         return record
+
+    def _forget(self, *, unload: bool) -> None:
+        """Release the world; if it is unloaded, no longer show its last tick to this process."""
+        self.world.release()
+        if unload:
+            self.world.unload()
+            self._unpublished = None
+            local_ticks.announce(self.context, self._notices)
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:
         """Execute an action of an episode and publish the tick."""
@@ -183,17 +214,8 @@ class SimNode(SimServer):
             self._look_by = now + LISTENERS_S
         return self._has_subscribers
 
-    def _publish_or_release(self, record: StateRecord) -> None:
-        try:
-            self._show_world()
-            self.publish(record)
-        except Exception:
-            self.world.release()
-            raise
-
     def _show_world(self) -> None:
         scene = self.world.scene
-        self._scene_out.publish(to_msg(scene, SceneSpecMsg))
         self._tick_messages = TickMessages(scene, self.world.robot, self.world.scene_poses)
         for camera in scene.cameras:
             for topic in camera_topics(camera):
@@ -201,6 +223,7 @@ class SimNode(SimServer):
         if scene.cameras:
             self._rig = CameraRig(self._renderer(self._renderer_name, "live"))
             self._rig.load(render_world(scene, self.library), scene)
+        self._scene_out.publish(to_msg(scene, SceneSpecMsg))
 
     def _renderer(self, name: str, use: str) -> Renderer:
         """Return a renderer; the live world and re-rendered states have one each."""
@@ -259,12 +282,9 @@ class SimNode(SimServer):
         limits.require_episode_id(request.episode_id)
         self._refuse_foreign(request.episode_id)
         snapshot = from_json(request.snapshot_json, Snapshot, source="snapshot_json")
-        for camera in snapshot.scene.cameras:
-            limits.require_name("camera", camera.name, topic=True)
-        if snapshot.scene.cameras:
-            self._renderer(self._renderer_name, "live")
-        record = self.world.restore(snapshot, request.episode_id)
-        self._publish_or_release(record)
+        record = self._replace_world(
+            snapshot.scene, self._renderer_name, lambda: self.world.restore(snapshot, request.episode_id)
+        )
         response.state = to_msg(record, StateRecordMsg)
         self._holder = ""
 

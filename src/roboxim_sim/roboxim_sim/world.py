@@ -217,8 +217,8 @@ class World(EpisodeWorld):
                 and the record is marked as disturbed.
 
         Raises:
-            SimError: With code ``DIVERGED`` and the first tick whose hash differs, or when a disturbed snapshot is to
-                be restored exactly.
+            SimError: With code ``DIVERGED`` and the first tick whose hash differs; no scene is loaded then. Or when a
+                disturbed snapshot is to be restored exactly.
         """
         if approximate:
             return self._restore_poses(snapshot, episode_id)
@@ -229,10 +229,14 @@ class World(EpisodeWorld):
                 ErrorCode.DIVERGED,
             )
         record = self.load(snapshot.scene, episode_id, snapshot.semantics)
-        snapshot.check(record)
-        for seq, action in enumerate(snapshot.actions, 1):
-            record = self.tick(seq, action)
+        try:
             snapshot.check(record)
+            for seq, action in enumerate(snapshot.actions, 1):
+                record = self.tick(seq, action)
+                snapshot.check(record)
+        except Exception:
+            self.unload()
+            raise
         return record
 
     # ---------------------------------------------------------------- inside

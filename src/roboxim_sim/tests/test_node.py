@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import threading
 import zlib
 from collections.abc import Callable, Iterator
@@ -193,6 +194,28 @@ def test_a_snapshot_can_be_serialised_and_restored(clients: Clients) -> None:
     state = clients.call(RestoreSnapshot, "sim/restore_snapshot", request).state
     assert state.state_hash == records[-1].state_hash
     assert tick(clients, 4).seq == 4
+
+
+def test_a_load_or_restore_that_fails_leaves_the_sim_free(clients: Clients) -> None:
+    load(clients, without_cameras(), "e")
+    tick(clients, 1)
+    snapshot = clients.call(TakeSnapshot, "sim/take_snapshot", TakeSnapshot.Request()).snapshot_json
+    unknown = replace(SCENE, cameras=(), entities=(replace(SCENE.entities[0], model="no_such"),))
+    request = LoadScene.Request(episode_id="e", scene=to_msg(unknown, SceneSpecMsg))
+    with pytest.raises(RoboximError, match="no_such"):
+        clients.call(LoadScene, "sim/load_scene", request)
+    step = StepSimulation.Request(steps=1)
+    answer = clients.call(StepSimulation, "sim/step_simulation", step).result
+    assert answer.result == Result.RESULT_OK, "a refused scene leaves the old one, but no lease"
+
+    last = json.loads(snapshot)["record"]["state_hash"]
+    request = RestoreSnapshot.Request(episode_id="e", snapshot_json=snapshot.replace(last, last[::-1]))
+    with pytest.raises(RoboximError, match="diverged at tick 1"):
+        clients.call(RestoreSnapshot, "sim/restore_snapshot", request)
+    answer = clients.call(StepSimulation, "sim/step_simulation", step).result
+    assert "NO_SCENE" in answer.error_message, "its state has not been published"
+    other = LoadScene.Request(episode_id="other", scene=to_msg(without_cameras(), SceneSpecMsg))
+    assert clients.call(LoadScene, "sim/load_scene", other).state.episode_id == "other"
 
 
 def test_a_restarted_holder_takes_over_its_lease(clients: Clients) -> None:
