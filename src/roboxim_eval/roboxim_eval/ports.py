@@ -128,13 +128,10 @@ class SimClient:
 
     @property
     def renderer(self) -> str:
-        """Renderer and device of the sim, e.g. for a report."""
-        if not self._renderer:
-            answer = self._clients.call(
-                GetSimulatorFeatures, "sim/get_simulator_features", GetSimulatorFeatures.Request()
-            )
-            info = json.loads(answer.features.custom_info)
-            self._renderer = f"{info['renderer']} ({info['device']})"
+        """Renderer and device with which the sim will draw the next scene; `load` checks it."""
+        answer = self._clients.call(GetSimulatorFeatures, "sim/get_simulator_features", GetSimulatorFeatures.Request())
+        info = json.loads(answer.features.custom_info)
+        self._renderer = f"{info['renderer']} ({info['device']})"
         return self._renderer
 
     def watch(self, cameras: tuple[str, ...]) -> None:
@@ -149,13 +146,23 @@ class SimClient:
                 )
 
     def load(self, episode_id: str, scene: SceneSpec, semantics: ActionSemantics | None = None) -> StateRecord:
-        """Rebuild the world for actions of a meaning (default: end-effector deltas); settle; return tick 0."""
+        """Rebuild the world for actions of a meaning (default: end-effector deltas); settle; return tick 0.
+
+        Raises:
+            EvaluationError: When the images come from another renderer than `renderer` has named.
+        """
         self._base = scene.robot.pose
         request = LoadScene.Request(
             episode_id=episode_id, scene=to_msg(scene, SceneSpecMsg), holder=self._holder,
             semantics=[to_msg(semantics, ActionSemanticsMsg)] if semantics else [],
         )  # fmt: skip
         answer = self._clients.call(LoadScene, "sim/load_scene", request, timeout_s=2 * SERVICE_TIMEOUT_S)
+        expected, self._renderer = self._renderer, ""
+        if expected and answer.renderer != expected:
+            raise EvaluationError(
+                f"'{episode_id}' names the renderer {expected}, but the sim draws with {answer.renderer}; was the sim "
+                "restarted meanwhile? Run the episode again"
+            )
         return from_msg(answer.state, StateRecord)
 
     def tick(self, episode_id: str, seq: int, action: ActionArray) -> StateRecord:

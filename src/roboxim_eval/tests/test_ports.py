@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import pytest
+from roboxim_interfaces.srv import LoadScene
+from simulation_interfaces.srv import GetSimulatorFeatures
 
 from roboxim_core.episode import EpisodeStep
-from roboxim_core.errors import ErrorCode, RecorderError
+from roboxim_core.errors import ErrorCode, EvaluationError, RecorderError
+from roboxim_core.specs import SceneSpec
 from roboxim_core.verdicts import Verdict
-from roboxim_eval.ports import RecorderClient
+from roboxim_eval.ports import RecorderClient, SimClient
 
 
 class _Refusing:
@@ -34,3 +37,24 @@ def test_a_step_that_the_recorder_refused_is_not_waited_for():
         recorder.step(step)
     assert recorder._sent is None
     recorder.wait_written()
+
+
+class _Sim:
+    """Clients of a sim whose default renderer changes between two requests."""
+
+    class node:
+        resolve_topic_name = staticmethod(str)
+
+    def call(self, kind, *_, **__):
+        if kind is LoadScene:
+            return LoadScene.Response(renderer="tiny (CPU)")
+        response = GetSimulatorFeatures.Response()
+        response.features.custom_info = '{"renderer": "raster", "device": "GPU"}'
+        return response
+
+
+def test_an_episode_that_names_another_renderer_than_drew_it_is_refused():
+    sim = SimClient(_Sim())
+    assert sim.renderer == "raster (GPU)"
+    with pytest.raises(EvaluationError, match=r"names the renderer raster \(GPU\).*draws with tiny"):
+        sim.load("e", SceneSpec())

@@ -113,12 +113,19 @@ class SimNode(SimServer):
 
     @property
     def renderer_info(self) -> dict[str, str]:
-        """Name and device of the renderer in use; if it does not work on this machine, the device is the reason."""
+        """Name and device of the renderer for requests that name none; the reason if it does not work here."""
+        return {
+            "simulator": "RoboXim (PyBullet)",
+            "renderer": self.config.renderer,
+            "device": self._device(self.config.renderer),
+        }
+
+    def _device(self, renderer: str) -> str:
+        """Return a renderer's device; if it does not work on this machine, the reason."""
         try:
-            device = self._renderer(self._renderer_name, "live").device
+            return self._renderer(renderer, "live").device
         except SimError as error:
-            device = f"unavailable: {error}"
-        return {"simulator": "RoboXim (PyBullet)", "renderer": self._renderer_name, "device": device}
+            return f"unavailable: {error}"
 
     def overtime(self) -> RequestTimeoutError:
         """Return the error for a motion that takes too long."""
@@ -262,7 +269,7 @@ class SimNode(SimServer):
         record = self.load(scene, request.episode_id, request.renderer, semantics)
         response.state = to_msg(record, StateRecordMsg)
         self._holder = request.holder
-        response.renderer = self._renderer_text()
+        response.renderer = f"{self._renderer_name} ({self._device(self._renderer_name)})"
 
     def _on_tick(self, request: Tick.Request, response: Tick.Response) -> None:
         record = self.tick(request.episode_id, request.seq, request.action)
@@ -323,7 +330,3 @@ class SimNode(SimServer):
                 "its holder has died)",
                 ErrorCode.LEASE_HELD,
             )
-
-    def _renderer_text(self) -> str:
-        info = self.renderer_info
-        return f"{info['renderer']} ({info['device']})"

@@ -42,7 +42,7 @@ class SimServer(RoboximNode):
 
     @property
     def renderer_info(self) -> dict[str, str]:
-        """Name and device of the renderer in use."""
+        """Name and device of the renderer for requests that name none."""
         raise NotImplementedError
 
     def overtime(self) -> RequestTimeoutError:

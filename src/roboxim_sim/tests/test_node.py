@@ -343,6 +343,10 @@ def test_standard_services(clients: Clients) -> None:
     features = clients.call(GetSimulatorFeatures, "sim/get_simulator_features", GetSimulatorFeatures.Request()).features
     assert '"renderer": "tiny"' in features.custom_info
     assert '"episode_id": ""' in features.custom_info
+    other = LoadScene.Request(scene=to_msg(without_cameras(), SceneSpecMsg), renderer="raster")
+    assert clients.call(LoadScene, "sim/load_scene", other).renderer.startswith("raster (")
+    features = clients.call(GetSimulatorFeatures, "sim/get_simulator_features", GetSimulatorFeatures.Request()).features
+    assert '"renderer": "tiny"' in features.custom_info, "the next scene is drawn by the sim's own renderer again"
     spawn = SpawnEntity.Request(name="red_cube", allow_renaming=True)
     spawn.entity_resource = Resource(uri="roboxim://cube?color=orange&scale=1.1")
     position = spawn.initial_pose.pose.position
