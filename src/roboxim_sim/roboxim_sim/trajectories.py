@@ -18,6 +18,10 @@ from roboxim_core.poses import Array
 SPEED_MARGIN = 1.2
 """Allowed excess over the joints' velocity limits between points; faster trajectories are rejected as a mistake."""
 START_TOLERANCE_RAD = 0.01
+BETWEEN_POINTS_RAD = 1e-3
+"""Allowed excess over the joint limits between points, for splines through points at a limit."""
+CHECK_S = 1 / 240
+"""Time between the positions that are checked between points [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,7 +90,7 @@ def checked_trajectory(
 
     Raises:
         InvalidRequestError: With code ``TRAJECTORY_INVALID`` on a wrong shape, NaN, times that do not increase,
-            positions beyond the limits, a start that differs from the arm's position, jumps that no motor can follow,
+            positions beyond the limits, also between the points, a start that differs from the arm's position, jumps that no motor can follow,
             or accelerations without velocities.
     """
     times, points = np.asarray(times_s, dtype=float), np.asarray(positions, dtype=float)
@@ -118,7 +122,17 @@ def checked_trajectory(
         raise _invalid(f"is faster than the joints' velocity limits {arm.model.limits.velocity}")
     if speeds is not None and np.any(np.abs(speeds) > SPEED_MARGIN * arm.velocity):
         raise _invalid(f"has velocities beyond the joints' limits {arm.model.limits.velocity}")
-    return JointTrajectory(times_s=times, positions=points, velocities=speeds, accelerations=turns)
+    made = JointTrajectory(times_s=times, positions=points, velocities=speeds, accelerations=turns)
+    if speeds is not None:
+        moments = np.arange(0.0, times[-1], CHECK_S)
+        passed = made.sample(moments)
+        excess = np.maximum(arm.lower - passed, passed - arm.upper).max(axis=1)
+        if len(beyond := np.flatnonzero(excess > BETWEEN_POINTS_RAD)):
+            raise _invalid(
+                f"leaves the joint limits between its points: {moments[beyond[0]]:.3f} s after its start the spline is "
+                f"at {passed[beyond[0]].round(3).tolist()}; add points or lower the velocities"
+            )
+    return made
 
 
 def _invalid(problem: str) -> InvalidRequestError:

@@ -311,6 +311,22 @@ def test_bad_trajectory_is_refused(
     assert caught.value.code == ErrorCode.TRAJECTORY_INVALID
 
 
+@pytest.mark.parametrize("accelerations", [None, np.zeros((2, 7))])
+def test_a_spline_that_leaves_the_joint_limits_between_its_points_is_refused(
+    world: World, accelerations: np.ndarray | None
+) -> None:
+    world.load(SceneSpec())
+    robot = LIBRARY.robot("panda")
+    limit = robot.limits.upper[0]
+    points = [[limit - 0.2, *robot.home[1:]], [limit, *robot.home[1:]]]
+    velocities = np.zeros((2, 7))
+    velocities[0, 0] = 0.1
+    world.checked_trajectory([2.0, 4.0], points, velocities, accelerations)  # to the limit itself
+    velocities[0, 0] = 2.0
+    with pytest.raises(InvalidRequestError, match="leaves the joint limits between its points: 2"):
+        world.checked_trajectory([2.0, 4.0], points, velocities, accelerations)
+
+
 def test_gripper_closes_outside_an_episode(world: World) -> None:
     world.load(SceneSpec())
     states = list(world.move_gripper(0.0))
