@@ -12,6 +12,7 @@ from typing import Self, TypeVar
 
 import numpy.typing as npt
 
+from roboxim_core import limits
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import digest
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError, one_of
@@ -20,7 +21,7 @@ from roboxim_core.models.description import RobotModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses
 from roboxim_core.poses import Pose
-from roboxim_core.specs import SceneSpec
+from roboxim_core.specs import RESERVED_NAMES, SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_sim.bodies import ObjectBody
 from roboxim_sim.physics import Physics
@@ -129,6 +130,16 @@ class EpisodeWorld:
         """
         return round(self.scene.physics_rate_hz / self.scene.control_rate_hz)
 
+    @property
+    def reserved_names(self) -> tuple[str, ...]:
+        """Names that no entity may have: those of every scene's frames and bodies, and of the robot's links.
+
+        Raises:
+            SimError: With code ``NO_SCENE`` when nothing is loaded.
+        """
+        _ = self.scene
+        return _reserved_names(self._controller.arm)
+
     def require_entity(self, name: str) -> None:
         """Check that the scene has an entity of this name.
 
@@ -176,7 +187,8 @@ class EpisodeWorld:
 
         Raises:
             ConfigError: When a model, modifier or camera parent is unknown; the old world then remains.
-            InvalidRequestError: When the robot's start is beyond its limits; the old world then remains.
+            InvalidRequestError: When the robot's start is beyond its limits, or an entity has the name of one of its
+                links; the old world then remains.
             EvaluationError: With code ``SEMANTICS_MISMATCH`` when the simulator does not execute these semantics; the
                 old world then remains. After any other error no scene is loaded.
         """
@@ -188,6 +200,8 @@ class EpisodeWorld:
         joints = self._start_joints(scene, arm)
         models = {entity.name: self.library.entity_model(entity) for entity in scene.entities}
         ScenePoses(scene, self.library, arm)
+        for name in models:
+            limits.require_name("entity", name, _reserved_names(arm))
         self.unload()  # until the new world is complete
 
         self.physics.build(scene, model, joints, models)
@@ -312,6 +326,10 @@ class EpisodeWorld:
                 return body
         names = [body.name for body in self.physics.objects]
         raise SimError(f"no entity '{name}' in the scene; {one_of(names, name)}", ErrorCode.UNKNOWN_ENTITY)
+
+
+def _reserved_names(arm: ArmKinematics) -> tuple[str, ...]:
+    return (*RESERVED_NAMES, f"{arm.model.id}_base", *arm.link_names)
 
 
 def _executable(semantics: ActionSemantics | None, scene: SceneSpec) -> ActionSemantics:

@@ -27,9 +27,10 @@ from simulation_interfaces.srv import (
 
 from roboxim_core import limits
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RoboximError
+from roboxim_core.poses import Pose
 from roboxim_core.specs import EntitySpec
 from roboxim_ros.messages.conversions import pose_from_msg
-from roboxim_sim.controllers import ArmController, GripperController, Turn
+from roboxim_sim.controllers import ArmController, GripperController, Turn, published_states
 from roboxim_sim.conversions import entity_state_msg, model_of_uri, vector
 from roboxim_sim.name_filter import name_filter
 from roboxim_sim.ports import SimServer
@@ -115,15 +116,14 @@ class StandardServices:
 
     def _set_entity_state(self, request: Any, response: Any) -> None:
         state = request.state
-        if state.header.frame_id not in ("", "world"):
-            raise InvalidRequestError(f"states are set in frame 'world', got '{state.header.frame_id}'")
         record = self._world.set_entity_state(
-            request.entity, pose_from_msg(state.pose), vector(state.twist.linear), vector(state.twist.angular)
+            request.entity, _pose_in_world(state), vector(state.twist.linear), vector(state.twist.angular)
         )
         self._node.publish(record)
 
     def _spawn(self, request: Any, response: Any) -> None:
         taken = {entity.name for entity in self._world.scene.entities}
+        code = response.NO_RESOURCE  # if the next step fails
         try:
             model, modifiers = model_of_uri(request.entity_resource.uri)
             name = request.name or model
@@ -133,12 +133,18 @@ class StandardServices:
                 response.result.result = response.NAME_NOT_UNIQUE
                 response.result.error_message = f"the name '{name}' is taken"
                 return
-            pose = pose_from_msg(request.initial_pose.pose)
-            self._world.spawn_entity(EntitySpec(name=name, model=model, modifiers=modifiers, pose=pose))
+            code = response.NAME_INVALID
+            limits.require_name("entity", name, self._world.reserved_names)
+            code = response.INVALID_POSE
+            pose = _pose_in_world(request.initial_pose)
+            entity = EntitySpec(name=name, model=model, modifiers=modifiers, pose=pose)
+            code = response.NO_RESOURCE
+            self._world.library.entity_model(entity)
         except (ConfigError, InvalidRequestError) as error:
-            response.result.result = response.NO_RESOURCE
+            response.result.result = code
             response.result.error_message = str(error)
             return
+        self._world.spawn_entity(entity)
         response.entity_name = name
         self._node.scene_changed()
 
@@ -166,6 +172,17 @@ class StandardServices:
         else:
             response.result.result = response.INCORRECT_TRANSITION
             response.result.error_message = "time moves on request only (step_simulation, tick, actions): always paused"
+
+
+def _pose_in_world(stamped: Any) -> Pose:
+    """Return the pose of a message with a header.
+
+    Raises:
+        InvalidRequestError: When it is in another frame than the world, is not finite, or is no rotation.
+    """
+    if stamped.header.frame_id not in ("", "world"):
+        raise InvalidRequestError(f"poses are given in frame 'world', got '{stamped.header.frame_id}'")
+    return pose_from_msg(stamped.pose)
 
 
 def _answering_ok(handler: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
@@ -200,17 +217,10 @@ class MotionActions:
         result = SimulateSteps.Result()
         result.result.result = Result.RESULT_OK
         total, done = int(goal.request.steps), 0
-        deadline = time.monotonic() + self._node.config.motion_timeout_s
         try:
-            limits.require_count("physics steps", total, limits.STEPS)
-            while done < total and not goal.is_cancel_requested:
-                steps = min(self._world.steps_per_tick, total - done)
-                self._node.publish(self._world.step(steps))
-                done += steps
+            async for _ in published_states(self._node, goal, self._world.ticks(total)):
+                done = min(done + self._world.steps_per_tick, total)
                 goal.publish_feedback(SimulateSteps.Feedback(completed_steps=done, remaining_steps=total - done))
-                await Turn(self._node)
-                if time.monotonic() > deadline:
-                    raise self._node.overtime()
             if done < total:
                 goal.canceled()
             else:

@@ -90,8 +90,8 @@ def checked_trajectory(
 
     Raises:
         InvalidRequestError: With code ``TRAJECTORY_INVALID`` on a wrong shape, NaN, times that do not increase,
-            positions beyond the limits, also between the points, a start that differs from the arm's position, jumps that no motor can follow,
-            or accelerations without velocities.
+            positions beyond the limits (also between the points), a start that differs from the arm's position, jumps
+            that no motor can follow, or accelerations without velocities.
     """
     times, points = np.asarray(times_s, dtype=float), np.asarray(positions, dtype=float)
     speeds = None if velocities is None else np.asarray(velocities, dtype=float)

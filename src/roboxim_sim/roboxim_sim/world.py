@@ -69,6 +69,23 @@ class World(EpisodeWorld):
         limits.require_range("steps", steps, 1, limits.STEPS)
         return self._exclusive(self._steps_in_periods(steps))
 
+    def ticks(self, steps: int) -> Generator[StateRecord, None, None]:
+        """Step the physics as `steps` does, with a state for each control period.
+
+        Args:
+            steps: Number of physics steps, >= 0.
+
+        Yields:
+            The state after every control period.
+
+        Raises:
+            SimError: See `steps`.
+            InvalidRequestError: On a number above `limits.STEPS`.
+        """
+        self.require_free("step")
+        limits.require_range("steps", steps, 0, limits.STEPS)
+        return self._exclusive(self._ticks(steps))
+
     def checked_trajectory(
         self,
         times_s: Sequence[float],
@@ -173,8 +190,9 @@ class World(EpisodeWorld):
         Raises:
             SimError: With code ``NO_SCENE``.
             ConfigError: When the model is unknown.
-            InvalidRequestError: When the name is taken.
+            InvalidRequestError: When the name is taken or reserved.
         """
+        limits.require_name("entity", entity.name, self.reserved_names)
         scene = replace(self.scene, entities=(*self.scene.entities, entity))
         model = self.library.entity_model(entity)
         self.physics.add(entity, model)
@@ -294,6 +312,10 @@ class World(EpisodeWorld):
                 self._steps += done
                 self._record = self._read()
         yield self._record
+
+    def _ticks(self, steps: int) -> Generator[StateRecord, None, None]:
+        for done in range(0, steps, self._steps_per_tick):
+            yield self._free_motion(min(self._steps_per_tick, steps - done))
 
     def _free_motion(self, steps: int, before: ControllerState | None = None) -> StateRecord:
         self._disturbed = True

@@ -338,6 +338,24 @@ def test_long_steps_can_be_stopped_and_too_long_ones_are_refused(clients: Client
     assert clients.call(StepSimulation, "sim/step_simulation", request).result.result == Result.RESULT_OK
 
 
+def test_simulated_steps_exclude_other_motions_and_can_be_paused(clients: Clients) -> None:
+    load(clients, without_cameras())
+    box: list[Any] = []
+    goal = SimulateSteps.Goal(steps=limits.STEPS)
+    thread = threading.Thread(target=lambda: box.append(send_goal(clients, SimulateSteps, "sim/simulate_steps", goal)))
+    thread.start()
+    playing = GetSimulationState.Request()
+    name = "sim/get_simulation_state"
+    while clients.call(GetSimulationState, name, playing).state.state != SimulationState.STATE_PLAYING:
+        assert thread.is_alive()
+    refused = clients.call(StepSimulation, "sim/step_simulation", StepSimulation.Request(steps=1)).result
+    assert "LEASE_HELD" in refused.error_message
+    pause = SetSimulationState.Request(state=SimulationState(state=SimulationState.STATE_PAUSED))
+    assert clients.call(SetSimulationState, "sim/set_simulation_state", pause).result.result == Result.RESULT_OK
+    thread.join(PATIENCE_S)
+    assert "CANCELLED" in box[0].result.result.error_message
+
+
 def test_standard_services(clients: Clients) -> None:
     load(clients, without_cameras())
     features = clients.call(GetSimulatorFeatures, "sim/get_simulator_features", GetSimulatorFeatures.Request()).features
@@ -359,6 +377,15 @@ def test_standard_services(clients: Clients) -> None:
     refused = clients.call(SpawnEntity, "sim/spawn_entity", spawn).result
     assert refused.result == SpawnEntity.Response.NO_RESOURCE
     assert "did you mean 'apple'" in refused.error_message
+    spawn.entity_resource.uri = "cube"
+    for frame, x, name, code in (
+        ("panda_base", 0.4, "x", SpawnEntity.Response.INVALID_POSE),
+        ("world", float("nan"), "x", SpawnEntity.Response.INVALID_POSE),
+        ("world", 0.4, "table", SpawnEntity.Response.NAME_INVALID),
+        ("world", 0.4, "panda_hand", SpawnEntity.Response.NAME_INVALID),
+    ):
+        spawn.initial_pose.header.frame_id, spawn.name, position.x = frame, name, x
+        assert clients.call(SpawnEntity, "sim/spawn_entity", spawn).result.result == code
 
     names = GetEntities.Request()
     names.filters.filter = "^red"
