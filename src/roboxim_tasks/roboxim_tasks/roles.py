@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from string import Formatter
@@ -121,8 +122,13 @@ class Wording:
     @staticmethod
     def of_task(task: TaskSpec, roles: Mapping[str, Role], library: ModelLibrary) -> Wording:
         """Return the wording of a task's instruction, from a template or written by the skill."""
-        instruction = task.instruction.lower()
-        named = {r for r, thing in task.objects.items() if r in roles and description(thing).lower() in instruction}
+        text, named = task.instruction.lower(), set()
+        described: dict[str, set[str]] = {}
+        for role in roles.keys() & task.objects.keys():
+            described.setdefault(description(task.objects[role]).lower(), set()).add(role)
+        for words in sorted(described, key=len, reverse=True):  # a cube is not named by "red cube" if that is another
+            text, count = re.subn(rf"(?<!\w){re.escape(words)}(?!\w)", "|", text)
+            named |= described[words] if count else set()
         return Wording(library=library, roles=roles, named=frozenset(named))
 
     def could_be_meant(self, thing: PhysicalObject, own: str, role: str, meant: PhysicalObject) -> bool:

@@ -8,10 +8,12 @@ import pytest
 from roboxim_core.config import parse_yaml
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.wordings import reworded
-from roboxim_core.specs import EntitySpec
+from roboxim_core.specs import EntitySpec, PhysicalObject, TaskSpec
 from roboxim_tasks.config import task_config
 from roboxim_tasks.meaning import asks_for_same, read_instruction
+from roboxim_tasks.roles import Wording
 from roboxim_tasks.sequences.steps import ORDER
+from roboxim_tasks.skills import SKILLS
 
 TEXT = """
 steps:
@@ -109,3 +111,19 @@ def test_objects_that_suit_no_threshold_of_a_step_are_refused(key):
     assert task_config(parse_yaml(text)).steps[0].lenient.open_m == 0.1
     with pytest.raises(ConfigError, match=r"steps\.0 \(line 3\): .*open_m"):
         task_config(parse_yaml(text.replace(f"{key}: {{open_m: 0.1}}", f"{key}: {{open_m: 0.5}}")))
+
+
+@pytest.mark.parametrize(
+    ("instruction", "named"),
+    [
+        ("Pick up the red cube", {"target"}),
+        ("Put the red cube on the cube", {"target", "support"}),
+        ("Put it on the cube", {"support"}),
+        ("Put it on the icecube", set()),
+    ],
+)
+def test_a_role_whose_noun_is_only_part_of_anothers_description_is_not_named(instruction, named, library):
+    red = PhysicalObject(entity="a", model="cube", name="cube", modifiers={"color": "red"})
+    objects = {"target": red, "support": PhysicalObject(entity="b", model="cube", name="cube")}
+    task = TaskSpec(skill="stack", objects=objects, instruction=instruction)
+    assert Wording.of_task(task, SKILLS["stack"].roles, library).named == named

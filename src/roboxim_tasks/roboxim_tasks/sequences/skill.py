@@ -86,16 +86,17 @@ class Sequence(Skill):
         contexts = [self._context(context, number) for number in range(len(self.steps))]
         wording = replace(context, text=self._instruction(context.template, contexts))
         objects = generate_objects(wording)
+        distractors = generate_distractors(wording, objects)
         tasks = []
         for step, skill, step_context in zip(self.steps, self.skills, contexts, strict=True):
-            given = {own: objects[role] for own, role in step.roles.items()}
+            given = {own: objects[role] for own, role in step.roles.items()} | distractors
             tasks.append((skill.generate(replace(step_context, given=given)), step.roles))
         words = {f"step_{n}": _lower_first(task.instruction) for n, (task, _) in enumerate(tasks, start=1)}
         sentence = context.template.format_map({role: description(thing) for role, thing in objects.items()} | words)
         stay_m = context.config.distractors.stay_m
         return TaskSpec(
             skill=self.name,
-            objects=objects | generate_distractors(wording, objects),
+            objects=objects | distractors,
             arguments=arguments_of(tasks, context.config.order) | ({STAY: stay_m} if stay_m else {}),
             instruction=sentence[:1].upper() + sentence[1:],
         )

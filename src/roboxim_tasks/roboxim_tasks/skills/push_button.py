@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.articulation import object_link_poses
@@ -32,7 +32,7 @@ from roboxim_tasks.handling import touching_links
 from roboxim_tasks.measures import Condition, Conditions, Measure, above, joint_highest_ever, joint_value
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
 from roboxim_tasks.reach import reaches_in_lines, start_clear
-from roboxim_tasks.roles import task_objects
+from roboxim_tasks.roles import task_distractors, task_objects
 from roboxim_tasks.sampling.generators import GenerationContext, generate_task
 from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
@@ -48,12 +48,16 @@ YAWS = tuple(math.radians(angle) for angle in (0, 90, -90, 45, -45, 30, -30, 60,
 class PushButtonParameters:
     """Thresholds of success."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("others",)
+
     travel_m: float = 0.006
     """Travel that the press must exceed [m]."""
     joint: str = ""
     """Name of the button's joint; set by the generator."""
     fingers: str = ""
     """Names of the robot's finger links, separated by blanks; set by the generator."""
+    others: str = ""
+    """Names of other buttons' joints that differ from ``joint``, separated by blanks; set by the generator."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -81,13 +85,17 @@ class PushButton(Skill):
         return beyond_travel(models["target"], models["target"].press_points[0].joint, "travel_m", parameters.travel_m)
 
     def generate(self, context: GenerationContext) -> TaskSpec:
-        """Draw a task and record the names of the button's joint and of the robot's fingers."""
-        task = generate_task(context)
+        """Draw a task and record the names of the joints of all buttons and of the robot's fingers."""
+        task, library, scene = generate_task(context), context.library, context.config.base_scene()
         target = task.objects["target"]
-        (point, *_) = context.library.object(target.model, target.modifiers).press_points
-        robot = context.library.robot(context.config.base_scene().robot.model)
-        fingers = " ".join(robot.gripper.links[1:])
-        return replace(task, arguments=task.arguments | {"joint": point.joint, "fingers": fingers})
+        (point, *_) = library.object(target.model, target.modifiers).press_points
+        fingers = " ".join(library.robot(scene.robot.model).gripper.links[1:])
+        named = {thing.entity for thing in task_objects(task)}
+        there = [thing for thing in scene.entities if thing.name not in named] + list(task_distractors(task))
+        models = (library.object(thing.model, thing.modifiers) for thing in there)
+        joints = {each.joint for model in models for each in model.press_points} - {point.joint}
+        arguments = task.arguments | {"joint": point.joint, "fingers": fingers, "others": " ".join(sorted(joints))}
+        return replace(task, arguments={name: value for name, value in arguments.items() if value or name != "others"})
 
     def constraints(self, context: ResetContext) -> Sequence[Constraint]:
         """Require that the arm can reach the button and press it."""
@@ -130,7 +138,7 @@ class PushButton(Skill):
         return Conditions(
             (
                 Condition(
-                    name="others_left", measure=_others_travel(task, parameters.joint, initial),
+                    name="others_left", measure=_others_travel(task, parameters, initial),
                     most=parameters.travel_m, reason="pressed_other_button", fatal=True,
                 ),
                 Condition(
@@ -180,11 +188,12 @@ def _travel(
     return Measure(name=name, of=travel)
 
 
-def _others_travel(task: TaskSpec, joint: str, initial: StateRecord) -> Measure:
+def _others_travel(task: TaskSpec, parameters: PushButtonParameters, initial: StateRecord) -> Measure:
     """Measure the largest travel so far of any button that the task does not name [m]."""
     named = {thing.entity for thing in task_objects(task)}
-    others = [e.name for e in initial.entities if e.name not in named and joint in e.joint_names]
-    measures = [joint_highest_ever(name, joint) for name in others]
+    joints = {parameters.joint, *parameters.others.split()}
+    others = [(e.name, joint) for e in initial.entities if e.name not in named for joint in joints & {*e.joint_names}]
+    measures = [joint_highest_ever(name, joint) for name, joint in others]
     return Measure(
         name="others_travel_m", of=lambda state: max((measure.of(state) for measure in measures), default=0.0)
     )
