@@ -14,8 +14,11 @@ from gymnasium.utils.env_checker import check_env
 pytest.importorskip("rclpy")
 
 from roboxim_core.config_folders import config_names
+from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError, PolicyError
+from roboxim_core.verdicts import Verdict
 from roboxim_runs.environments.benchmark_audit import AuditConfig, audit_benchmark, environment_maker
+from roboxim_runs.environments.gymnasium_env import RoboXimEnv
 from roboxim_runs.environments.session import EpisodeSession, SessionConfig
 
 NAME = "roboxim:roboxim/PickCube-v0"
@@ -83,6 +86,45 @@ def test_running_out_of_actions_truncates_and_a_wrong_action_is_named():
     with pytest.raises(EvaluationError, match="invalid_action: .*takes 8: panda_joint1"):
         env.step(np.zeros(7, np.float32))
     env.close()
+
+
+@pytest.mark.parametrize(
+    ("reason", "verdict", "of_largest", "truncated"),
+    [
+        ("not_lifted", Verdict(reason="not_lifted"), 0.5, True),  # a cell of a mix has a limit of its own
+        ("fell_off_table", Verdict(reason="fell_off_table", failed=True), 1.0, False),
+        ("left_workspace", Verdict(), 1.0, False),
+        ("not_stable", Verdict(success_ever=True), 1.0, False),
+    ],
+)
+def test_only_the_limit_of_actions_truncates(env, monkeypatch, reason, verdict, of_largest, truncated):
+    session = env.unwrapped.session
+    steps = round(of_largest * session.max_steps)
+    result = EpisodeResult(episode_id="e", index=0, reason=reason, verdict=verdict, steps=steps)
+    env.reset(seed=0)
+    monkeypatch.setattr(session, "step", lambda action: result)
+    assert env.step(np.zeros(7, np.float32))[2:4] == (not truncated, truncated)
+
+
+def test_environments_without_a_seed_differ_and_numpys_whole_numbers_are_seeds(env, monkeypatch):
+    started = []
+    env.reset(seed=0)
+    window = env.unwrapped.session.start(0, 0)
+    monkeypatch.setattr(EpisodeSession, "start", lambda self, seed, index: started.append((seed, index)) or window)
+    others = [RoboXimEnv(size=32) for _ in range(2)]
+    for other in others:
+        other.session._graph = env.unwrapped.session._graph
+        assert other.reset()[1]["seed"] == started[-1][0]
+        other.reset()
+    (first, zero), (again, one), (second, _), _ = started
+    assert (again, zero, one) == (first, 0, 1), "the next episode of the same seed"
+    assert second != first
+    env.reset(seed=np.int64(7), options={"index": np.int32(2)})
+    assert started[-1] == (7, 2)
+    assert [type(number) for number in started[-1]] == [int, int]
+    for seed in (-1, 1.5, "7"):
+        with pytest.raises(ConfigError, match="seed must be a whole number >= 0, got"):
+            env.unwrapped.reset(seed=seed)
 
 
 def test_every_task_has_an_id_and_nothing_is_drawn_before_the_first_reset(monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from typing import Any, SupportsFloat
 
 import gymnasium
@@ -11,6 +12,7 @@ from gymnasium.spaces import Box, Dict, Space
 
 from roboxim_core.actions import ActionSemantics, ControlMode
 from roboxim_core.episode import EpisodeResult
+from roboxim_core.episode.runner import LEFT_WORKSPACE
 from roboxim_core.errors import ConfigError, EvaluationError
 from roboxim_core.models.description import RobotModel
 from roboxim_core.policies import Observation
@@ -20,6 +22,8 @@ from roboxim_runs.environments.session import EpisodeSession, SessionConfig
 Array = npt.NDArray[Any]
 STATE_BOUND = 10.0
 """Bound of ``agent_pos``, far outside of what an arm reaches [m]."""
+DRAWN_SEEDS = 2**31
+"""Number of seeds from which an environment draws its own when it is given none."""
 
 
 class RoboXimEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
@@ -34,6 +38,7 @@ class RoboXimEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
     - ``reset(seed=s)`` begins episode 0 of seed s, each further ``reset()`` the next one, and
       ``reset(options={"index": i})`` episode i. It is the episode that ``roboxim evaluate --seed s`` gives for that
       index, with the same scene.
+    - An environment that was never given a seed draws one at its first reset; ``info["seed"]`` says which.
     - The last step includes one second in which the robot holds still, as an evaluation's final verdict does.
     - A policy that runs out of actions is truncated; leaving the workspace or failing the task terminates.
     - The window, physics and renderer are made at the first reset, in the process that resets.
@@ -61,7 +66,8 @@ class RoboXimEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
         self.metadata = {**self.metadata, "render_fps": fps}
         self.task_description = ""
         """Instruction of the running episode."""
-        self._run_seed, self._index = 0, -1
+        self._run_seed: int | None = None
+        self._index = -1
         pixels: dict[str, Space[Any]] = {
             name: Box(0, 255, (height, width, 3), np.uint8) for name, (width, height) in self.session.cameras.items()
         }
@@ -81,23 +87,27 @@ class RoboXimEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
         """Begin an episode.
 
         Args:
-            seed: Seed of the run; its episode 0 begins. None: the next episode of the present seed.
+            seed: Seed of the run; its episode 0 begins. None: the next episode of the present seed, at first of a random
+                one.
             options: ``{"index": i}`` begins episode i.
 
         Returns:
             Observation, and info with ``is_success``, ``task_description``, ``scene_hash``, ``seed`` and ``index``.
 
         Raises:
-            ConfigError: On an unknown option or an index below 0.
+            ConfigError: On an unknown option, or a seed or an index that is not a whole number >= 0.
             TaskError: When the scene cannot be drawn.
         """
+        seed = None if seed is None else _whole("seed", seed)
         super().reset(seed=seed)
         given = dict(options or {})
-        index = given.pop("index", 0 if seed is not None else self._index + 1)
-        if given or not isinstance(index, int) or index < 0:
+        index = _whole("index", given.pop("index", 0 if seed is not None else self._index + 1))
+        if given:
             raise ConfigError(f"options may give 'index', a whole number >= 0; got {options}")
         if seed is not None:
             self._run_seed = seed
+        elif self._run_seed is None:
+            self._run_seed = int(self.np_random.integers(DRAWN_SEEDS))
         self._index = index
         window = self.session.start(self._run_seed, index)
         self.task_description = window.instruction
@@ -123,7 +133,7 @@ class RoboXimEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
         if answer.outcome == "error":
             raise EvaluationError(f"{answer.reason}: {answer.message}")
         success = answer.outcome == "success"
-        truncated = not success and answer.steps >= self.session.max_steps
+        truncated = _ran_out(answer)
         info = self._info(success=success) | {"reason": answer.reason}
         return self._observation(self.session.observe()), float(success), not truncated, truncated, info
 
@@ -147,6 +157,23 @@ class RoboXimEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
 
     def _info(self, *, success: bool) -> dict[str, Any]:
         return {"is_success": success, "task_description": self.task_description}
+
+
+def _whole(name: str, value: Any) -> int:
+    """Return a whole number >= 0, also of NumPy's types."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = -1
+    if number < 0:
+        raise ConfigError(f"{name} must be a whole number >= 0, got {value!r}")
+    return number
+
+
+def _ran_out(result: EpisodeResult) -> bool:
+    """Return whether the limit of actions ended the episode: nothing that ends it earlier happened."""
+    ended = result.verdict.success_ever or result.verdict.failed or result.reason == LEFT_WORKSPACE
+    return result.outcome == "failure" and not ended
 
 
 def action_box(semantics: ActionSemantics, robot: RobotModel, rate_hz: float) -> Box:
