@@ -12,6 +12,7 @@ from roboxim_core.config import load_yaml, named_config
 from roboxim_core.episode import RunConfig
 from roboxim_core.errors import ConfigError
 from roboxim_core.shards import Shard
+from roboxim_core.user_folders import expanded
 from roboxim_runs.episodes.task_choice import DEFAULT_TASK, mix_of, shares_text, task_text
 from roboxim_runs.events import Notice, OnEvent
 from roboxim_runs.storage.folder import checked_path
@@ -88,6 +89,8 @@ class EpisodesConfig:
                 long.
         """
         checked_path(self.out)
+        if str(self.out).startswith("~"):
+            object.__setattr__(self, "out", expanded(self.out))
         for name in ("objects", "cameras", "lights", "textures"):
             if isinstance(getattr(self, name), str):
                 object.__setattr__(self, name, (getattr(self, name),))

@@ -12,6 +12,7 @@ import numpy as np
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import parse_json
 from roboxim_core.proprioception import STATE_NAMES
+from roboxim_core.user_folders import expanded
 
 FORMAT = 6
 """1: proprioception with a quaternion, 8 numbers; 2: with ``state_layout``, see `roboxim_core.proprioception`; 3: the
@@ -45,7 +46,12 @@ def require_no_bomb(file: Path) -> None:
 
 
 def checkpoint_file(path: Path) -> Path:
-    """Return the file of a checkpoint, given the file or the folder of its training."""
+    """Return the file of a checkpoint, given the file or the folder of its training.
+
+    Raises:
+        ConfigError: When the path begins with ``~`` and the home is not known.
+    """
+    path = expanded(path)
     return path / "checkpoint.npz" if path.is_dir() else path
 
 

@@ -87,8 +87,8 @@ class RoboXimEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
         """Begin an episode.
 
         Args:
-            seed: Seed of the run; its episode 0 begins. None: the next episode of the present seed, at first of a random
-                one.
+            seed: Seed of the run; its episode 0 begins. None: the next episode of the present seed, which is a random
+                one at first.
             options: ``{"index": i}`` begins episode i.
 
         Returns:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from roboxim_core.config import to_json
-from roboxim_core.errors import EvaluationError
+from roboxim_core.errors import ConfigError, EvaluationError
 from roboxim_core.policies import Policy
 from roboxim_core.shards import Shard
 from roboxim_eval.film_options import FilmOptions
@@ -45,6 +45,9 @@ from roboxim_runs.storage.folder import RunFolder
 if TYPE_CHECKING:
     from roboxim_runs.policies.servers import PolicyServers
 
+PURPOSES = ("eval", "train")
+"""Purposes of scenes in which policies are compared; those of demonstrations are ``demo``."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationConfig(EpisodesConfig):
@@ -56,6 +59,8 @@ class EvaluationConfig(EpisodesConfig):
     out: Path | str = "runs/evaluation"
     """Folder of the report, with a subfolder for each policy."""
     usual: ClassVar[int] = 20
+    purpose: str = "eval"
+    """``eval``, or ``train``: scenes for choices, e.g. of a checkpoint, which no evaluation has."""
     max_steps: int = 0
     """Actions per episode; 0: as the task says."""
     window: int = 0
@@ -95,6 +100,16 @@ class EvaluationConfig(EpisodesConfig):
     """Which films the report shows, and how."""
     page: bool = True
     """Whether to write the report's page, which takes seconds; `evaluation_report.report_of` writes it later."""
+
+    def __post_init__(self) -> None:
+        """Check the values that need no other file.
+
+        Raises:
+            ConfigError: As `EpisodesConfig`, or on another purpose.
+        """
+        super().__post_init__()
+        if self.purpose not in PURPOSES:
+            raise ConfigError(f"the purpose of an evaluation is {' or '.join(PURPOSES)}, got '{self.purpose}'")
 
 
 def evaluate(
@@ -174,7 +189,8 @@ def evaluate(
                 on_event(PolicyMeasured(policy=policy.name, results=found[policy.name].results))
     require_played(found.values())
     record = EvaluationRecord(
-        task=config.task_name, seed=config.seed, policies=tuple(found), facts=policy_facts(chosen, jobs),
+        task=config.task_name, seed=config.seed, policies=tuple(found),
+        facts={"purpose": config.purpose, **policy_facts(chosen, jobs)},
         command=config.command or _call(config), stopped=config.stopped,
         undecided=config.undecided,
         trained=tuple(policy.name for policy in chosen if policy.is_checkpoint),
@@ -220,7 +236,7 @@ def _job(config: EvaluationConfig, policy: ChosenPolicy, task_config: str, serve
     if launch is not None and launch.options.get("convention") == SERVERS_OWN:  # a worker need not connect to begin
         launch = replace(launch, options={**launch.options, "convention": to_json(server["server"]["convention"])})
     run = config.run_config(
-        task_config, purpose="eval", actor="expert" if launch is None else launch.namespace, keep="all",
+        task_config, purpose=config.purpose, actor="expert" if launch is None else launch.namespace, keep="all",
         max_steps=config.max_steps, window=config.window, execute=config.execute, ensemble=config.ensemble,
         ensemble_decay=config.ensemble_decay, late_rows=config.late_rows, gripper_band=config.gripper_band,
         gripper_agree=config.gripper_agree, latency_ticks=config.latency, real_time=config.real_time,

@@ -1,18 +1,19 @@
 """Chooses the best of many checkpoints by successive halving, and measures it in fresh scenes.
 
-The scenes of the choice and the fresh scenes are two evaluations with different seeds, in two folders. The same call
-continues an interrupted sweep.
+The scenes of the choice and the fresh scenes are two evaluations in two folders. The choice has scenes of purpose
+``train``, so that no evaluation has them, with any seed. The same call continues an interrupted sweep.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.whole_files import write_whole
@@ -67,11 +68,14 @@ def checkpoint_policies(checkpoints: Sequence[Path]) -> list[PolicySpec]:
         name = file.resolve().parent.name if file.name == "checkpoint.npz" else file.stem
         name = re.sub(r"[^\w-]", "-", name).lstrip("-") or family  # of the trainings of an experiment, e.g. baseline.0
         policies.append(PolicySpec(spec=family, name=name, options={CHECKPOINT: str(path)}))
-    several = {name for name, count in Counter(policy.name for policy in policies).items() if count > 1}
-    return [
-        replace(policy, name=f"{policy.name}-{number}") if policy.name in several else policy
-        for number, policy in enumerate(policies, start=1)
-    ]
+    counts = Counter(policy.name for policy in policies)
+    taken = set(counts)
+    for place, policy in enumerate(policies):
+        if counts[policy.name] > 1:
+            numbered = (f"{policy.name}-{number}" for number in itertools.count(place + 1))
+            policies[place] = replace(policy, name=next(name for name in numbered if name not in taken))
+            taken.add(policies[place].name)
+    return policies
 
 
 def sweep(
@@ -87,7 +91,7 @@ def sweep(
 
     Args:
         policies: The policies, each with a unique name.
-        config: The scenes; its policies and number of episodes are not used.
+        config: The scenes; its policies, number of episodes and purpose are not used.
         halving: Number of scenes.
         on_event: Receives the events of all evaluations.
         cancellation: Ends the call when it is set; the same call continues.
@@ -107,9 +111,9 @@ def sweep(
         raise ConfigError("two policies of a sweep have one name; name them apart")
     out = Path(config.out)
 
-    def played(names: Sequence[str], scenes: int, part: str, seed: int) -> EvaluationResult:
+    def played(names: Sequence[str], scenes: int, part: str, **different: Any) -> EvaluationResult:
         wanted = replace(
-            config, policies=[by_name[name] for name in names], out=out / part, episodes=scenes, seed=seed, page=False
+            config, policies=[by_name[name] for name in names], out=out / part, episodes=scenes, page=False, **different
         )
         found = evaluate(wanted, on_event=on_event, cancellation=cancellation, executor=executor)
         found.require_measured()
@@ -117,12 +121,12 @@ def sweep(
 
     def play(names: Sequence[str], scenes: int) -> Mapping[str, Sequence[bool]]:
         on_event(Notice(text=f"{len(names)} policies, {scenes} scenes"))
-        found = played(names, scenes, "choosing", config.seed)
+        found = played(names, scenes, "choosing", purpose="train")
         return {name: [r.outcome == "success" for r in found[name].results] for name in names}
 
     choice = choose(list(by_name), play, halving)
     on_event(Notice(text=f"{choice.winner} is chosen; {halving.fresh} fresh scenes"))
-    evaluation = played([choice.winner], halving.fresh, "fresh", config.seed + SEED_STEP)
+    evaluation = played([choice.winner], halving.fresh, "fresh", purpose="eval", seed=config.seed + SEED_STEP)
     rate = evaluation[choice.winner].rate
     result = {"rounds": [asdict(one) for one in choice.rounds], "winner": choice.winner, "fresh": asdict(rate)}
     write_whole(out / RESULT, json.dumps(result, indent=2) + "\n")

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 MAY_DIFFER = ("episodes", "workers", "shard", "store", "server_probe")
 """Keys of a run's configuration that may change when it continues, e.g. on another machine or with more episodes. The
 probe of a remote policy is compared by `roboxim_runs.policies.server_records`."""
-COMMANDS = {"demo": "generate", "eval": "evaluate"}
+COMMANDS = {"demo": "generate", "eval": "evaluate", "train": "evaluate"}
 """Purpose of a run's episodes, mapped to the command that runs them."""
 LONGEST_NAME, LONGEST_PATH = 200, 3500
 """Largest number of bytes of a folder's name and of its whole path. Below a file system's own limits, since bags lie

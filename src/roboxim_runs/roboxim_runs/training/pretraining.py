@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 from roboxim_core.episode import EpisodeInfo
 from roboxim_core.errors import ConfigError
+from roboxim_core.user_folders import expanded
 from roboxim_core.whole_files import write_whole
 from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_policies.learning.config import LearningConfig
@@ -24,7 +25,7 @@ from roboxim_runs.datasets.export import ExportConfig, export_dataset
 from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation, Executor
-from roboxim_runs.storage.folder import RunFolder
+from roboxim_runs.storage.folder import RunFolder, checked_path
 from roboxim_runs.training.run import TRAINED_ON, TrainingResult, train_policy
 
 Handled = TypeVar("Handled")
@@ -65,7 +66,7 @@ class PretrainConfig:
         Raises:
             ConfigError: When it is not the name of a file.
         """
-        name = self.name or Path(self.out).name
+        name = self.name or expanded(self.out).name
         if not name or Path(name).name != name:
             raise ConfigError(f"the name of a checkpoint is a file's name without folders, got '{name}'")
         return name
@@ -105,7 +106,7 @@ def pretrain(
     """
     from roboxim_policies.learning.checkpoint import policy_only  # importing JAX takes a second
 
-    out, name = Path(config.out), config.checkpoint_name
+    out, name = checked_path(config.out), config.checkpoint_name
     demonstrations = GenerationConfig(
         out=out / "demos", suite=config.suite, episodes=config.episodes, seed=config.seed, workers=config.workers,
         size=config.size, renderer=config.renderer, noise_mm=6.0, noise_mrad=20.0, first_try=True,

@@ -24,7 +24,7 @@ def calls(monkeypatch):
 
     def evaluate(config, **_):
         names = [policy.name for policy in config.policies]
-        made.append((names, config.episodes, config.seed, config.out.name))
+        made.append((names, config.episodes, config.purpose, config.seed, config.out.name))
 
         def result(name):
             outcomes = ["success" if i % 10 < SKILL[name] else "failure" for i in range(config.episodes)]
@@ -43,12 +43,12 @@ def swept(out, names=tuple(SKILL), halving=None, **changes):
     return sweeping.sweep(policies, EvaluationConfig(policies="zero", out=out, **changes), halving or HalvingConfig())
 
 
-def test_the_better_half_plays_on_and_the_winner_in_other_scenes(calls, tmp_path):
+def test_the_better_half_plays_on_in_scenes_of_no_evaluation_and_the_winner_in_fresh_ones(calls, tmp_path):
     result = swept(tmp_path, seed=3, halving=HalvingConfig(first=10, fresh=30))
     assert calls == [
-        (["good", "fair", "poor", "bad"], 10, 3, "choosing"),
-        (["good", "fair"], 20, 3, "choosing"),
-        (["good"], 30, 3 + sweeping.SEED_STEP, "fresh"),
+        (["good", "fair", "poor", "bad"], 10, "train", 3, "choosing"),
+        (["good", "fair"], 20, "train", 3, "choosing"),
+        (["good"], 30, "eval", 3 + sweeping.SEED_STEP, "fresh"),
     ]
     assert result.winner.name == "good"
     assert result.fresh.successes == 27
@@ -70,11 +70,12 @@ def test_checkpoints_are_named_by_their_folders_and_apart(monkeypatch):
     from pathlib import Path
 
     paths = [Path("runs/a/checkpoint.npz"), Path("other/a/checkpoint.npz"), Path("runs/broad.npz")]
+    paths += [Path("runs/a-2/checkpoint.npz")]  # what the second "a" would be called
     paths += [Path("night/train/baseline.0/checkpoint.npz")]  # as an experiment names its trainings
     found = sweeping.checkpoint_policies(paths)
     assert {policy.spec for policy in found} == {"act"}
     names = [policy.name for policy in found]
-    assert names == ["a-1", "a-2", "broad", "baseline-0"]
+    assert names == ["a-1", "a-3", "broad", "a-2", "baseline-0"]
     assert all(re.fullmatch(NAME, name) for name in names), "a name that no evaluation takes"
     assert found[0].options == {"checkpoint": "runs/a/checkpoint.npz"}
 
