@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from roboxim_core.actions import ActionSemantics
+from roboxim_core.actions import ActionSemantics, ReferenceFrame
 from roboxim_core.errors import ConfigError
 from roboxim_core.policies import EpisodeStart, Observation, ObservationWindow
 from roboxim_core.proprioception import STATE_NAMES, Proprioception
@@ -26,7 +26,7 @@ from roboxim_policies.learning.points import PointEncoder
 from roboxim_policies.learning.policy import LearnedPolicy
 from roboxim_policies.learning.samples import Samples
 from roboxim_policies.learning.train import Trainer, statistics
-from roboxim_policies.learning.validation import validate
+from roboxim_policies.learning.validation import before_release, validate
 
 CONFIG = BCConfig(
     steps=300, learning_rate=3e-3, batch=16, warmup_steps=10, ema_decay=0.9, chunk=4, execute=2,
@@ -325,7 +325,7 @@ def held_episode(opened_to: float = 0.6) -> tuple[np.ndarray, np.ndarray]:
     return np.stack(rows), np.array(actions, np.float32)
 
 
-def assembled(*episodes: tuple[np.ndarray, np.ndarray]) -> Demonstrations:
+def assembled(*episodes: tuple[np.ndarray, np.ndarray], semantics: ActionSemantics | None = None) -> Demonstrations:
     return assemble(
         [
             Demonstration(
@@ -334,7 +334,7 @@ def assembled(*episodes: tuple[np.ndarray, np.ndarray]) -> Demonstrations:
             for p, a in episodes
         ],
         camera_sizes={"wrist": (16, 16)},
-        semantics=ActionSemantics(),
+        semantics=semantics or ActionSemantics(),
     )
 
 
@@ -458,6 +458,24 @@ def test_empty_gripper_is_taught_to_open_and_rise_before_a_grasp_only():
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize("tilt", [0.0, 0.5])
+def test_an_empty_gripper_rises_in_the_frame_of_the_actions(tilt):
+    """The tool looks down, tilted about its y axis [rad]."""
+    proprio, actions = held_episode()
+    actions[:, 0] = 0.01
+    c, s = float(np.cos(tilt)), float(np.sin(tilt))
+    proprio[:, 3:9] = (c, 0.0, s, 0.0, -1.0, 0.0)
+    data = assembled((proprio, actions), semantics=ActionSemantics(frame=ReferenceFrame.TOOL))
+    stats = statistics(data)
+    _, wanted = drawn(data, replace(CONFIG, retry=1.0, opening_noise=0.0), np.array([0]))
+    x, y, z = np.asarray(wanted.motion[0, 0, :3]) * stats.motion_scale[:3]
+    assert z < 0, "the tool's z axis points down"
+    axes = np.array([[c, 0.0, s], [0.0, -1.0, 0.0], [s, 0.0, -c]])  # of the tool, in the base
+    rise = (x, y, z) @ axes
+    assert rise == pytest.approx([0.0, 0.0, 0.01], abs=1e-6)
+
+
+@pytest.mark.thorough
 def test_noise_never_makes_a_held_object_look_lost():
     data = assembled(*[held_episode()] * 4)
     config = replace(CONFIG, retry=0.0, opening_noise=5.0)
@@ -504,6 +522,16 @@ def test_errors_on_held_out_demonstrations_are_in_units_that_a_user_knows(traine
     assert found.turn_mrad == 0
     assert found.grasp_mm < 60  # of up to 120 mm
     assert found.gripper < 0.1
+
+
+def test_a_release_is_judged_while_something_is_held_and_opened_later():
+    proprio, actions = held_episode()
+    kept = actions.copy()
+    kept[:, 6] = np.minimum(kept[:, 6], np.where(np.arange(24) < 5, 1.0, 0.0))  # the episode ends with the object held
+    found = before_release(assembled((proprio, actions), (proprio, kept)))
+    steps = np.flatnonzero(found)
+    assert steps[0] >= 5
+    assert steps.tolist() == list(range(steps[0], 18)), "not after the release, and not without one"
 
 
 def test_poses_as_actions_are_refused(tmp_path):

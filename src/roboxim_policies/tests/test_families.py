@@ -3,6 +3,7 @@
 import importlib.util
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from roboxim_policies import load_policy
 from roboxim_policies.learning.checkpoint import load_checkpoint
 from roboxim_policies.learning.checkpoint_file import family_in, read_description
 from roboxim_policies.learning.families import FAMILIES, config_class
+from roboxim_policies.learning.layers import Inputs
 from roboxim_policies.learning.policy import LearnedPolicy
 from roboxim_policies.learning.supply import Supply
 from roboxim_policies.learning.train import Trainer
@@ -90,6 +92,21 @@ def test_a_history_begins_with_the_first_observation_and_never_reaches_into_anot
     batch, draws = supply.batch(0)
     assert len(batch) == 15  # 5 windows of 3
     assert draws["features"]["workspace/8"].shape == (15, 4, 4, 40)
+
+
+@pytest.mark.parametrize("asked", [range(8), range(0, 8, 2), (0, 1, 3, 4, 7), (2, 3, 6)])
+def test_a_policy_has_the_trainings_history_whenever_it_is_asked(asked):
+    settings = config("rt1s", history=3)
+    policy = LearnedPolicy.__new__(LearnedPolicy)
+    policy._loaded, policy._seen = SimpleNamespace(config=settings), []
+    supply = Supply(data(1), settings)
+    for tick in asked:
+        seen = Inputs(images={}, state=np.array([[tick]]), heading=np.zeros((1, 2)), words=np.zeros((1, 1)))
+        found = policy._with_history(seen, tick)
+        wanted, present = supply.windows_before(np.array([tick]) - asked[0])
+        last_asked = [max(one for one in asked if one <= at + asked[0]) for at in wanted]
+        assert found.state[:, 0].tolist() == last_asked
+        assert found.present.tolist() == present.tolist()
 
 
 @pytest.mark.parametrize(

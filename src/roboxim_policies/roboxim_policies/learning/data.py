@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.actions import ACTION_SIZE, ActionSemantics, ControlMode, GripperConvention
+from roboxim_core.actions import ACTION_SIZE, ActionSemantics, ControlMode, GripperConvention, ReferenceFrame
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.proprioception import STATE_NAMES
 from roboxim_core.vision.images import resized
@@ -33,6 +33,7 @@ from roboxim_policies.learning.features import (
     proprio_features,
     split_words,
     tool_yaw,
+    up_in_tool,
     word_indices,
 )
 from roboxim_policies.recorded_actions import require_semantics
@@ -43,6 +44,10 @@ TARGET_SIZE = 7
 """Number of values that the auxiliary task predicts, see `_targets`."""
 CLOSED_BELOW = 0.25
 """Commanded opening below which an action closes the gripper. The expert closes to 0, and opens as far as needed."""
+
+
+UP = np.array([0.0, 0.0, 1.0], np.float32)
+"""Upward direction in the base."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +74,8 @@ class Demonstrations:
     """Network input, shape (N, `features.PROPRIO_SIZE`)."""
     yaw: Floats
     """Tool's rotation about the base's z axis [rad], shape (N,)."""
+    up: Floats
+    """Upward direction in the frame of the actions' motions, shape (N, 3)."""
     actions: Floats
     """Shape (N, 7)."""
     ends: Ints
@@ -161,6 +168,7 @@ def assemble(
         images={name: np.concatenate([episode.images[name] for episode in kept]) for name in kept[0].images},
         proprio=proprio_features(proprio),
         yaw=tool_yaw(proprio),
+        up=up_in_tool(proprio) if semantics.frame is ReferenceFrame.TOOL else np.tile(UP, (len(actions), 1)),
         actions=actions,
         ends=np.repeat(np.cumsum(lengths) - 1, lengths).astype(np.int32),
         grasps=np.concatenate([np.where(g == NONE, NONE, g + at) for g, at in zip(grasps, firsts, strict=True)]),

@@ -48,6 +48,12 @@ def tool_yaw(proprio: Floats) -> Floats:
     return np.arctan2(proprio[..., 4], proprio[..., 3])  # of the tool's x axis
 
 
+def up_in_tool(proprio: Floats) -> Floats:
+    """Return the base's z axis in the tool's frame, shape (..., 3), from proprioception of shape (..., 10)."""
+    x, y = proprio[..., 3:6], proprio[..., 6:9]
+    return np.stack([x[..., 2], y[..., 2], np.cross(x, y)[..., 2]], axis=-1).astype(np.float32)
+
+
 def proprio_features(proprio: Floats) -> Floats:
     """Reduce proprioception to features: position, gripper opening, sine and cosine of twice the yaw, and tilt.
 

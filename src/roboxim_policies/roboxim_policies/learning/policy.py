@@ -101,7 +101,7 @@ class LearnedPolicy(BasePolicy):
         newest = window.newest
         if window.commanded_opening is not None:
             self._memory.commanded(window.commanded_opening < CLOSED_BELOW)
-        prediction = self._infer(newest.images, newest.proprio.vector())
+        prediction = self._infer(newest.images, newest.proprio.vector(), window.seq)
         actions = np.zeros((self.horizon, 7), np.float32)
         actions[:, :6] = np.asarray(prediction.motion[-1, : self.horizon]) * self._loaded.stats.motion_scale
         opening = np.clip(np.asarray(prediction.opening[-1, : self.horizon]), CLOSED_BELOW, 1.0)
@@ -116,10 +116,10 @@ class LearnedPolicy(BasePolicy):
             embedding(instruction) if loaded.config.sentences
             else word_indices(instruction, loaded.vocabulary, loaded.word_count)
         )  # fmt: skip
-        self._seen: list[Inputs] = []
+        self._seen: list[tuple[int, Inputs]] = []
         self._memory = GraspMemory(self._loaded.empty)
 
-    def _infer(self, images: Mapping[str, Images], proprio: Floats) -> Prediction:
+    def _infer(self, images: Mapping[str, Images], proprio: Floats, tick: int = 0) -> Prediction:
         pixels = {name: resized(images[name], side, side)[None] for name, side in self._loaded.input_sizes.items()}
         state = np.concatenate([proprio_features(proprio), self._memory.observe(proprio)])
         yaw = tool_yaw(proprio)
@@ -127,7 +127,7 @@ class LearnedPolicy(BasePolicy):
             images=self._look(pixels), state=jnp.asarray(self._loaded.stats.normalize_state(state))[None],
             heading=jnp.asarray([[np.cos(yaw), np.sin(yaw)]], jnp.float32), words=jnp.asarray(self._words)[None],
         )  # fmt: skip
-        prediction: Prediction = self._predict(self._weights, self._with_history(inputs))
+        prediction: Prediction = self._predict(self._weights, self._with_history(inputs, tick))
         return prediction
 
     def _look(self, pixels: Mapping[str, Images]) -> dict[str, Array]:
@@ -140,16 +140,23 @@ class LearnedPolicy(BasePolicy):
                 found |= {f"{name}/{stride}": array for stride, array in encode(picture).items()}
         return found
 
-    def _with_history(self, newest: Inputs) -> Inputs:
-        """Return the last observations as one window; before the first one, it is repeated and marked as absent."""
-        frames = self._loaded.config.frames
-        if frames == 1:
+    def _with_history(self, newest: Inputs, tick: int) -> Inputs:
+        """Return what was last observed at each of the training's ticks, ``execute`` apart, as one window.
+
+        Requests may come at other ticks, e.g. at every one for an ensemble, or late. Before the first observation, it
+        is repeated and marked as absent.
+        """
+        config = self._loaded.config
+        if config.frames == 1:
             return newest
-        self._seen = [*self._seen, newest][-frames:]
-        absent = frames - len(self._seen)
-        window = [self._seen[0]] * absent + self._seen
-        joined: Inputs = jax.tree.map(lambda *parts: jnp.concatenate(parts), *window)
-        return replace(joined, present=jnp.arange(frames) >= absent)
+        wanted = [tick - config.execute * age for age in reversed(range(config.frames))]
+        self._seen.append((tick, newest))
+        while len(self._seen) > 1 and self._seen[1][0] <= wanted[0]:
+            del self._seen[0]
+        first = self._seen[0]
+        window = [next((one for one in reversed(self._seen) if one[0] <= at), first) for at in wanted]
+        joined: Inputs = jax.tree.map(lambda *parts: jnp.concatenate(parts), *(inputs for _, inputs in window))
+        return replace(joined, present=jnp.asarray(wanted) >= first[0])
 
 
 @lru_cache(maxsize=4)

@@ -78,7 +78,7 @@ class Samples(eqx.Module):
         noise[:, :3] = config.position_noise_m
         noise[:, OPENING] = config.opening_noise * (1 - data.proprio[:, OPENING])
         safe = np.where(stats.motion_scale > 0, stats.motion_scale, 1.0)
-        rise = RISE_M / safe[2] if stats.motion_scale[2] > 0 else 0.0
+        rise = np.where(stats.motion_scale[:3] > 0, RISE_M / safe[:3] * data.up, 0.0)
         empties = data.proprio[:, OPENING] < data.empty
         return Samples(
             images={name: jnp.asarray(smaller(images, config.fine_side(name, images.shape[1])))
@@ -117,7 +117,7 @@ class Samples(eqx.Module):
             closed = draws["retry"] < 0.5 * config.retry  # the others have opened again, but must still rise
             proprio = proprio.at[:, OPENING].set(jnp.where(closed & retry, 0.0, proprio[:, OPENING]))
             failed |= retry
-            rising = jnp.zeros_like(motion).at[..., 2].set(self.rise)
+            rising = jnp.zeros_like(motion).at[..., :3].set(self.rise[batch][:, None])
             motion = jnp.where(retry[:, None, None], rising, motion)
             gripper = jnp.where(retry[:, None], 1.0, gripper)
         yaw = self.yaw[batch]

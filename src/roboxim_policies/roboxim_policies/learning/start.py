@@ -92,9 +92,15 @@ def carried_weights(start: Checkpoint, config: LearningConfig, data: Demonstrati
 
 
 def carried_statistics(start: Checkpoint, own: Statistics) -> Statistics:
-    """Return a checkpoint's normalisation; a component of motion that it never saw gets the data's scale."""
+    """Return a checkpoint's normalisation; a component of motion that it never saw gets the data's scale.
+
+    Of x and y the one that it saw gives the scale of both, because the network turns these vectors.
+    """
     known = start.stats.motion_scale
-    return replace(start.stats, motion_scale=np.where(known > 0, known, own.motion_scale))
+    scale = np.where(known > 0, known, own.motion_scale)
+    if known[:2].any():
+        scale[:2] = np.where(scale[:2] > 0, known[:2].max(), 0.0)
+    return replace(start.stats, motion_scale=scale)
 
 
 def record_of(start: Checkpoint) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from roboxim_policies.learning.checkpoint import Checkpoint, Statistics
 from roboxim_policies.learning.config import LearningConfig
 from roboxim_policies.learning.data import CLOSED_BELOW, Demonstrations
 from roboxim_policies.learning.families import make_network
-from roboxim_policies.learning.features import NONE, PROPRIO_SIZE, Floats
+from roboxim_policies.learning.features import NONE, PROPRIO_SIZE, Flags, Floats
 from roboxim_policies.learning.layers import Prediction
 from roboxim_policies.learning.samples import Samples, Wanted, loss_of
 from roboxim_policies.learning.supply import Supply
@@ -37,7 +37,7 @@ class ValidationErrors:
     grasp_yaw_deg: float
     """90th percentile of the error of the predicted grasp's yaw, half turns apart are equal [degrees]."""
     release_mm: float
-    """Median distance of the predicted next opening's position, while something is held [mm]."""
+    """Median distance of the predicted next opening's position, while something is held that is opened later [mm]."""
     motion_mm: float
     """Mean error of the translation per executed tick [mm]."""
     turn_mrad: float
@@ -86,11 +86,18 @@ def validate(checkpoint: Checkpoint, data: Demonstrations) -> ValidationErrors:
     closes, closed = np.asarray(predictions.closed) > 0, np.asarray(wanted.opening) < CLOSED_BELOW
     return ValidationErrors(
         grasp_mm=_quantile(distance[near], 0.5), grasp_p90_mm=_quantile(distance[near], 0.9),
-        grasp_yaw_deg=_quantile(yaw[near], 0.9), release_mm=_quantile(distance[~free], 0.5),
+        grasp_yaw_deg=_quantile(yaw[near], 0.9), release_mm=_quantile(distance[before_release(data)], 0.5),
         motion_mm=1e3 * float(np.linalg.norm(move[..., :3], axis=-1).mean()),
         turn_mrad=1e3 * float(move[..., 5].mean()),
         gripper=float((closes != closed)[:, executed].mean()),
     )  # fmt: skip
+
+
+def before_release(data: Demonstrations) -> Flags:
+    """Return for each step whether something is held whose release is the next event, shape (N,)."""
+    closed = data.actions[:, 6] < CLOSED_BELOW
+    following = np.arange(len(data)) + np.round(np.expm1(data.targets[:, 6])).astype(int)
+    return (data.grasps != NONE) & closed & ~closed[following]
 
 
 class HeldOut:

@@ -237,7 +237,7 @@ class Session:
         self._enter(prompt, own, measured[-1], guess=guess)
         window = self._window(request, own, measured)
         actions = self._row(window) if self._single else np.asarray(self._guard.act(window).actions, dtype=float)
-        self._seq += 1
+        self._seq += 1 if own is not None else len(actions)  # a client without ticks of its own executes all of them
         numbers = self._numbers(actions, measured[-1])
         self._last = np.array([*measured[-1].tcp_position, len(numbers)])
         return numbers
