@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import roboxim
-from roboxim_core.errors import ConfigError, ErrorCode, PolicyError, UnavailableError
+from roboxim_core.episode import EpisodeResult
+from roboxim_core.errors import ConfigError, ErrorCode, EvaluationError, PolicyError, UnavailableError
 from roboxim_policies import BasePolicy
 from roboxim_runs.evaluation.beside_training import _Worker
 
@@ -38,6 +39,31 @@ def test_wrong_numbers_and_tasks_are_named_before_anything_starts():
         roboxim.Evaluator(episodes=0)
     with pytest.raises(ConfigError, match="no_such_task"):
         roboxim.Evaluator("no_such_task")
+    with pytest.raises(ConfigError, match="unknown purpose 'training'; .*'train'"):
+        roboxim.Evaluator(purpose="training")
+    with pytest.raises(ConfigError, match="rastr.*raster"):
+        roboxim.Evaluator(renderer="rastr")
+
+
+@pytest.mark.parametrize("errors", [1, 2, 3])
+def test_episodes_that_ended_in_errors_are_told_apart_and_most_of_them_are_no_measurement(monkeypatch, errors):
+    error = {"outcome": "error", "reason": "invalid_action", "message": "row 0 is not finite"}
+    found = [
+        EpisodeResult(episode_id=f"train-{i}", index=i, **(error if i < errors else {"outcome": "success"}))
+        for i in range(3)
+    ]
+    evaluator = roboxim.Evaluator(episodes=3, workers=1)
+    here, there = multiprocessing.Pipe()
+    evaluator._workers = [_Worker(process=None, connection=here)]
+    for result in found:
+        there.send(("result", result))
+    if errors == 1:
+        score = evaluator(lambda: Lowering([]))
+        assert (score.successes, score.errors) == (2, 1)
+        assert re.fullmatch(r"success 2 of 3, \d s; 1 of 3 episodes ended in errors \(invalid_action x1\)", str(score))
+        return
+    with pytest.raises(EvaluationError, match=f"{errors} of 3 .*not measured. The first, episode 0: row 0 is not fin"):
+        evaluator(lambda: Lowering([]))
 
 
 class Tensor:

@@ -18,12 +18,14 @@ from typing import Any, Self
 
 from roboxim_bringup.process import spawn, stop
 from roboxim_core.episode import EpisodeResult, RunConfig
-from roboxim_core.errors import ConfigError, PolicyError, UnavailableError
+from roboxim_core.errors import ConfigError, EvaluationError, PolicyError, UnavailableError, one_of
 from roboxim_core.policies import ActionChunk, Policy, PolicyDescription
 from roboxim_core.policy_guard import checked_answer
-from roboxim_eval.statistics.rates import SuccessRate, rate_of
+from roboxim_eval.statistics.rates import SuccessRate, error_line, is_measured, rate_of
 from roboxim_runs.episodes.task_choice import task_text
+from roboxim_sim.rendering import RENDERERS
 
+PURPOSES = ("train", "eval", "test")
 WORKER = "roboxim_runs.evaluation.beside_worker"
 
 
@@ -42,13 +44,19 @@ class Score:
         return sum(episode.outcome == "success" for episode in self.episodes)
 
     @property
+    def errors(self) -> int:
+        """Number of episodes that ended in an error, e.g. an action that is not finite; they are no successes."""
+        return sum(episode.outcome == "error" for episode in self.episodes)
+
+    @property
     def rate(self) -> SuccessRate:
-        """Success rate with its 95 % interval."""
+        """Success rate with its 95 % interval; errors count as failures."""
         return rate_of(self.episodes)
 
     def __str__(self) -> str:
         """Say it in one line."""
-        return f"success {self.successes} of {len(self.episodes)}, {self.seconds:.0f} s"
+        success = f"success {self.successes} of {len(self.episodes)}, {self.seconds:.0f} s"
+        return "; ".join(filter(None, (success, error_line(self.episodes))))
 
 
 @dataclass
@@ -89,6 +97,7 @@ class Evaluator:
       Each call has the same scenes, so that its numbers can be compared with those of the call before.
     - The first call starts the workers, which takes some seconds; the later ones find them warm.
     - An exception of the policy is raised unchanged, and ends the workers; the next call starts new ones.
+    - An episode whose policy answers something invalid, e.g. NaN, ends in an error; when most do, the call raises.
     """
 
     def __init__(
@@ -108,8 +117,11 @@ class Evaluator:
             renderer: ``raster`` (needs EGL) or ``tiny``.
 
         Raises:
-            ConfigError: When there is no such task, or a number is below 1.
+            ConfigError: When there is no such task, purpose or renderer, or a number is below 1.
         """
+        if purpose not in PURPOSES:
+            raise ConfigError(f"unknown purpose '{purpose}'; {one_of(PURPOSES, purpose)}")
+        RENDERERS[renderer]
         if min(episodes, workers, size) < 1:
             raise ConfigError(f"episodes, workers and size must be >= 1, got {episodes}, {workers}, {size}")
         self._config = RunConfig(
@@ -127,6 +139,7 @@ class Evaluator:
                 at the same time, so each needs its own memory. They may share the model.
 
         Raises:
+            EvaluationError: When most episodes ended in errors, so that the policy is not measured.
             UnavailableError: When a worker has died.
             Exception: What the policy has raised.
         """
@@ -148,7 +161,11 @@ class Evaluator:
         except BaseException:
             self.close()
             raise
-        return Score(episodes=tuple(found[i] for i in range(self._episodes)), seconds=time.monotonic() - began)
+        score = Score(episodes=tuple(found[i] for i in range(self._episodes)), seconds=time.monotonic() - began)
+        if not is_measured(score.episodes):
+            first = next(episode for episode in score.episodes if episode.outcome == "error")
+            raise EvaluationError(f"{error_line(score.episodes)}. The first, episode {first.index}: {first.message}")
+        return score
 
     def _start(self) -> None:
         """Start the workers, unless they run."""
