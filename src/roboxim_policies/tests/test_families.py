@@ -99,7 +99,8 @@ def test_a_policy_has_the_trainings_history_whenever_it_is_asked(asked):
     settings = config("rt1s", history=3)
     policy = LearnedPolicy.__new__(LearnedPolicy)
     policy._loaded, policy._seen = SimpleNamespace(config=settings), []
-    supply = Supply(data(1), settings)
+    supply = Supply.__new__(Supply)  # whose features take seconds
+    supply._config, supply._starts = settings, data(1).starts
     for tick in asked:
         seen = Inputs(images={}, state=np.array([[tick]]), heading=np.zeros((1, 2)), words=np.zeros((1, 1)))
         found = policy._with_history(seen, tick)

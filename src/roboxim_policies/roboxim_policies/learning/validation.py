@@ -97,7 +97,7 @@ def before_release(data: Demonstrations) -> Flags:
     """Return for each step whether something is held whose release is the next event, shape (N,)."""
     closed = data.actions[:, 6] < CLOSED_BELOW
     following = np.arange(len(data)) + np.round(np.expm1(data.targets[:, 6])).astype(int)
-    return (data.grasps != NONE) & closed & ~closed[following]
+    return np.asarray((data.grasps != NONE) & closed & ~closed[following])
 
 
 class HeldOut:
