@@ -67,7 +67,7 @@ def test_cards_of_parts_are_joined_and_others_are_refused():
     found = joined(cards)
     assert (found.sets, found.cells, found.trainings) == (6, 3, 1)
     assert found.gap_of_all_cells.low < 0.3 < found.gap_of_all_cells.high
-    assert found.gap.p_value < 0.01
+    assert found.p_value < 0.01
     with pytest.raises(ConfigError, match="held out in two parts"):
         joined([*cards[:3], cards[0]])
     other = replace(cards[1].experiment.config, about="Another?")
@@ -83,6 +83,27 @@ def test_cards_of_parts_are_joined_and_others_are_refused():
 def test_an_experiment_with_combinations_is_not_rotated():
     with pytest.raises(ConfigError, match="with combinations is not rotated"):
         rotated(laptop("combinations"), 3, 3, 1)
+
+
+def parts_with(rows):
+    """Return parts of one training and three cells: successes of 20 of the leave-out condition and of the baseline."""
+    return [Part(first=arm([low], [[20] * 3]), second=arm([high], [[20] * 3])) for low, high in rows]
+
+
+@pytest.mark.parametrize("low", range(14, 20))
+def test_p_is_below_5_percent_where_the_interval_excludes_0(low):
+    found = rotated_score(parts_with([([low] * 3, [20] * 3)] * 3))
+    assert found.gap.p_value < 0.05, "Student's t alone"
+    assert (found.p_value < 0.05) == (found.gap_of_all_cells.low > 0)
+
+
+def test_a_cell_without_episodes_does_not_narrow_the_interval():
+    def width(*cells):
+        one = arm([[won for won, _ in cells]] * 2, [[many for _, many in cells]] * 2)
+        gap = rotated_score([Part(first=one, second=one)] * 3).gap_of_these_cells
+        return gap.high - gap.low
+
+    assert width((18, 20), (18, 20), (0, 0)) == pytest.approx(width((18, 20), (18, 20)))
 
 
 # ------------------------------------------------------------------ coverage
@@ -149,7 +170,7 @@ def coverage(rates, spread, shape, *, unequal=False, experiments=EXPERIMENTS):
         these = float((of_cells[number, 0] - of_cells[number, 1]).mean())
         fixed = score.gap_of_these_cells
         held["these"] += fixed.low <= these <= fixed.high
-        false += score.gap.p_value < 0.05
+        false += score.p_value < 0.05
     return {name: held[name] / experiments for name in INTERVALS} | {"false": false / experiments}
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_eval.statistics.components import student_limit
+from roboxim_eval.statistics.equivalence import NORMAL
 from roboxim_eval.statistics.replicates import ConditionDifference, Interval, condition_difference, condition_rate
 from roboxim_eval.statistics.tables import Arm, total
 from roboxim_eval.statistics.training_spread import mean_rate_interval
@@ -55,6 +56,8 @@ class RotatedScore:
     rates' own intervals, which holds where rates are near 0 or 1 and few sets agree by chance."""
     gap_of_these_cells: Interval
     """95 % interval of the gap over the cells of this design."""
+    p_value: float
+    """Error probability at which the interval of the gap with cells as a sample begins to include 0."""
 
 
 def rotated_score(parts: Sequence[Part]) -> RotatedScore:
@@ -79,6 +82,7 @@ def rotated_score(parts: Sequence[Part]) -> RotatedScore:
         sets=len(parts), cells=len(first.cells), trainings=len(parts[0].first.replicates),
         absolute=low, baseline=high, gap=gap, gap_of_all_cells=union,
         gap_of_these_cells=_of_these_cells(parts, gap) if len(parts[0].first.replicates) > 1 else union,
+        p_value=max(gap.p_value, _p_of_rates(gap.value, high, low)),
     )  # fmt: skip
 
 
@@ -97,12 +101,27 @@ def _union(interval: Interval, baseline: Interval, absolute: Interval) -> Interv
     Source:
         Method of variance estimates recovery: Zou and Donner, Statistics in Medicine 27 (2008).
     """
-    below = math.hypot(baseline.value - baseline.low, absolute.high - absolute.value)
-    above = math.hypot(baseline.high - baseline.value, absolute.value - absolute.low)
+    below, above = _distances(baseline, absolute)
     return Interval(
         value=interval.value, low=max(-1.0, min(interval.low, interval.value - below)),
         high=min(1.0, max(interval.high, interval.value + above)),
     )  # fmt: skip
+
+
+def _distances(baseline: Interval, absolute: Interval) -> tuple[float, float]:
+    """Return how far the intervals of both rates let their difference reach below and above its value."""
+    return (
+        math.hypot(baseline.value - baseline.low, absolute.high - absolute.value),
+        math.hypot(baseline.high - baseline.value, absolute.value - absolute.low),
+    )
+
+
+def _p_of_rates(value: float, baseline: Interval, absolute: Interval) -> float:
+    """Return the error probability at which the intervals of both rates begin to allow a difference of 0."""
+    from scipy.stats import norm
+
+    half = _distances(baseline, absolute)[0 if value > 0 else 1]
+    return float(2 * norm.sf(abs(value) / half * NORMAL)) if half else 0.0
 
 
 def _of_these_cells(parts: Sequence[Part], gap: ConditionDifference) -> Interval:
@@ -125,8 +144,9 @@ def _within_sets(arms: Sequence[Arm]) -> Interval:
     trainings = rates.shape[1]
     spread = (rates - rates.mean(axis=1, keepdims=True)) * math.sqrt(trainings / (trainings - 1))
     alike = np.clip(rates.mean() + spread, 0.0, 1.0).ravel()
-    counts = [count.episodes for arm in arms for replicate in arm.replicates for count in replicate.values()]
-    episodes = len(counts) / rates.size * len(counts) / sum(1 / count for count in counts if count)
+    every = (count for arm in arms for replicate in arm.replicates for count in replicate.values())
+    counts = [count.episodes for count in every if count.episodes]
+    episodes = len(counts) / rates.size * len(counts) / sum(1 / count for count in counts)
     low, high = mean_rate_interval(alike.tolist(), episodes)
     value = float(rates.mean())
     return Interval(value=value, low=min(low, value), high=max(high, value))

@@ -63,7 +63,7 @@ def join(cards: tuple[Path, ...], as_json: bool) -> None:
             "absolute": found.absolute, "baseline": found.baseline, "gap_cells_random": sampled,
             "gap_cells_fixed": found.gap_of_these_cells,
         }  # fmt: skip
-        sizes = {"sets": found.sets, "cells": found.cells, "trainings": found.trainings, "p": found.gap.p_value}
+        sizes = {"sets": found.sets, "cells": found.cells, "trainings": found.trainings, "p": found.p_value}
         click.echo(json.dumps(sizes | {key: plain_interval(one) for key, one in intervals.items()}, indent=2))
         return
     click.echo(
@@ -71,5 +71,5 @@ def join(cards: tuple[Path, ...], as_json: bool) -> None:
     )
     click.echo(f"  absolute  {found.absolute}")
     click.echo(f"  baseline  {found.baseline}")
-    click.echo(f"  gap       {sampled}, cells as a sample; p {found.gap.p_value:.2g}")
+    click.echo(f"  gap       {sampled}, cells as a sample; p {found.p_value:.2g}")
     click.echo(f"  gap       {found.gap_of_these_cells}, these cells")
