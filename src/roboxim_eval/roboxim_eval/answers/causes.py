@@ -77,17 +77,22 @@ def p_of_change(changed: Tally, as_it_was: Tally) -> float:
     return float(fisher_exact(table, alternative="greater").pvalue)
 
 
-def may_become_cause(so_far: Tally, runs: int, as_it_was: Tally, changes: int) -> bool:
+def may_become_cause(so_far: Tally, runs: int, as_it_was: Tally, left: int) -> bool:
     """Return whether a change can still be shown to be a cause if all remaining runs succeed.
 
     Args:
         so_far: Its runs so far.
         runs: Number of runs that it will have in all.
         as_it_was: The episode without a change.
-        changes: Number of changes that are tried.
+        left: Number of changes that are no cause so far, this one included, see `not_yet_causes`.
     """
     best = Tally(name="", words="", successes=so_far.successes + runs - so_far.runs, runs=runs)
-    return p_of_change(best, as_it_was) <= ALPHA / max(1, changes)
+    return p_of_change(best, as_it_was) <= ALPHA / max(1, left)
+
+
+def not_yet_causes(group: Sequence[Tally], as_it_was: Tally) -> int:
+    """Return how many changes of a group are no cause so far: each cause lowers the number that Holm's test counts."""
+    return len(group) - len(_causes(group, as_it_was))
 
 
 def explanation(as_it_was: Tally, singles: Sequence[Tally], pairs: Sequence[Tally] = ()) -> Explanation:
@@ -117,4 +122,4 @@ def _causes(group: Sequence[Tally], as_it_was: Tally) -> tuple[Tally, ...]:
     return tuple(one for _, one in sorted(found, key=lambda item: item[0]))
 
 
-__all__ = ["ALPHA", "Explanation", "Tally", "explanation", "may_become_cause", "p_of_change"]
+__all__ = ["ALPHA", "Explanation", "Tally", "explanation", "may_become_cause", "not_yet_causes", "p_of_change"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from roboxim_core.episode import ActorPort, Draw, EpisodeInfo, RunConfig
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import SceneSpec
-from roboxim_eval.answers.causes import Explanation, Tally, explanation, may_become_cause
+from roboxim_eval.answers.causes import Explanation, Tally, explanation, may_become_cause, not_yet_causes
 from roboxim_runs.answers.changes import NAMES, Change, both, changes_of
 from roboxim_runs.answers.trying import TryBench, recorded_run, seed_of
 
@@ -54,7 +54,7 @@ def explain(
 
     The first repetition is the episode as it was recorded; the others start with slightly other joints, and other
     seeds of the policy. All changes have the same repetitions. A change that can no longer be shown to be a cause is
-    given up.
+    given up, and taken up again if causes among the others allow it to be shown with fewer successes.
 
     Args:
         bench: Cores to run episodes with.
@@ -77,20 +77,27 @@ def explain(
     as_it_was = run.all_of(nothing, config.repeats)
     on_tally(as_it_was)
 
-    def tallies(group: Sequence[Change]) -> Iterator[Tally]:
+    def tallies(group: Sequence[Change]) -> list[Tally]:
         repeats = _enough(config.repeats, as_it_was, len(group))
-        for change in group:
-            found = run.while_undecided(change, repeats, as_it_was, len(group))
-            if found.runs:
-                on_tally(found)
-                yield found
+        found = {change.name: Tally(name=change.name, words=change.words, successes=0, runs=0) for change in group}
+        decided = False
+        while not decided:
+            decided = True
+            for change in group:
+                begun = [tally for tally in found.values() if tally.runs or tally.name not in run.infeasible]
+                before, left = found[change.name], not_yet_causes(begun, as_it_was)
+                found[change.name] = run.while_undecided(change, before, repeats, as_it_was, left)
+                if found[change.name] != before:
+                    decided = False
+                    on_tally(found[change.name])
+        return [tally for tally in found.values() if tally.runs]
 
-    singles = list(tallies(changes))
+    singles = tallies(changes)
     found = explanation(as_it_was, singles)
     if found.kind != "none" or not config.pairs:
         return found
     pairs = [both(one, two) for one, two in itertools.combinations(_likely(changes, singles), 2)][:MAX_PAIRS]
-    return explanation(as_it_was, singles, list(tallies(pairs)))
+    return explanation(as_it_was, singles, tallies(pairs))
 
 
 def _enough(repeats: int, as_it_was: Tally, changes: int) -> int:
@@ -110,18 +117,20 @@ class _Repeats:
     def __init__(self, bench: TryBench, info: EpisodeInfo, actor: ActorPort) -> None:
         self._bench, self._info, self._actor = bench, info, actor
         self._config, self._draw = recorded_run(info)
+        self.infeasible: set[str] = set()
+        """Names of changes whose scene breaks a constraint in a repetition."""
 
     def all_of(self, change: Change, repeats: int) -> Tally:
         outcomes = [found for number in range(repeats) if (found := self._one(change, number)) is not None]
         return Tally(name=change.name, words=change.words, successes=sum(outcomes), runs=len(outcomes))
 
-    def while_undecided(self, change: Change, repeats: int, as_it_was: Tally, changes: int) -> Tally:
-        tally = Tally(name=change.name, words=change.words, successes=0, runs=0)
-        for number in range(repeats):
-            if not may_become_cause(tally, repeats, as_it_was, changes):
+    def while_undecided(self, change: Change, tally: Tally, repeats: int, as_it_was: Tally, left: int) -> Tally:
+        for number in range(tally.runs, repeats):
+            if change.name in self.infeasible or not may_become_cause(tally, repeats, as_it_was, left):
                 break
             success = self._one(change, number)
             if success is None:
+                self.infeasible.add(change.name)
                 break
             tally = replace(tally, successes=tally.successes + success, runs=tally.runs + 1)
         return tally
