@@ -257,7 +257,7 @@ def test_the_map_counts_each_episode_once():
 
 def test_the_map_says_where_things_are_and_its_legend_draws_the_same_marks():
     starts = [Start(x=0.5, y=0.1, success=i % 2 == 0) for i in range(8)]
-    picture = str(table_map(starts, place=Place(robot=(0.0, 0.0), table=(0.5, 0.0, 0.9, 1.4))))
+    picture = str(table_map(starts, place=Place(table=(0.5, 0.0, 0.9, 1.4))))
     assert ">robot<" in picture
     assert ">edge of the table<" in picture
     assert {"0.1", "0.3", "0.5"} <= set(re.findall(r">(-?[0-9.]+)</text>", picture)), "axes in metres"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,18 +35,41 @@ class EpisodeFacts:
     drawn: dict[str, str] = field(default_factory=dict)
     """Named draws of its reset components."""
     start: tuple[float, float] | None = None
-    """Place of the task's first object at the start: x away from the robot, y to its left [m]; none: it has none."""
+    """Place of the task's first object at the start in the world, x and y [m]; none: it has none."""
     explanation: str = ""
     """What happened, in a sentence with numbers; empty: it succeeded, or its conditions are unknown here."""
     scene: str = ""
     """Hash of task and scene without words and image sizes, the same in every run that met the scene;
     empty: stored by an earlier version."""
     robot: tuple[float, float] = (0.0, 0.0)
-    """Base of the robot, x and y [m]."""
+    """Base of the robot in the world, x and y [m]."""
+    robot_yaw_rad: float = 0.0
+    """Turn of the base about the world's vertical [rad]."""
     table: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    """Centre of the table's top, and its extent: x, y, along x, along y [m]."""
+    """Centre of the table's top in the world, and its extent: x, y, along x, along y [m]."""
     ended: str = ""
     """Hash of the result in the bag, see `ended`; empty: stored by an earlier version."""
+
+    @property
+    def start_from_robot(self) -> tuple[float, float] | None:
+        """The start in the frame of the robot's base: x away from the robot, y to its left [m]."""
+        return None if self.start is None else self._from_robot(*self.start)
+
+    @property
+    def table_from_robot(self) -> tuple[float, float, float, float] | None:
+        """The table in the frame of the robot's base; none: its edges are not parallel to that frame's axes."""
+        x, y, along_x, along_y = self.table
+        quarters = self.robot_yaw_rad / (math.pi / 2)
+        if abs(quarters - round(quarters)) > 1e-6:
+            return None
+        sides = (along_y, along_x) if round(quarters) % 2 else (along_x, along_y)
+        return (*self._from_robot(x, y), *sides)
+
+    def _from_robot(self, x: float, y: float) -> tuple[float, float]:
+        """Return a place of the world in the frame of the robot's base, to the micrometre [m]."""
+        x, y = x - self.robot[0], y - self.robot[1]
+        cos, sin = math.cos(self.robot_yaw_rad), math.sin(self.robot_yaw_rad)
+        return round(cos * x + sin * y, 6), round(cos * y - sin * x, 6)
 
 
 def episode_facts(
@@ -116,7 +140,8 @@ def _facts(bag: Path) -> EpisodeFacts:
     from roboxim_runs.episodes.course import Course
 
     reader = BagReader(bag)
-    info, (x, y, _), table = reader.info, reader.info.scene.robot.pose.position, reader.info.scene.table
+    info, base, table = reader.info, reader.info.scene.robot.pose, reader.info.scene.table
+    ahead = base.rotation.apply((1.0, 0.0, 0.0))
     explanation = ""
     if reader.result.outcome == "failure":
         with contextlib.suppress(TaskError, ConfigError):  # a skill that this program does not have
@@ -124,7 +149,8 @@ def _facts(bag: Path) -> EpisodeFacts:
     return EpisodeFacts(
         episode_id=info.episode_id, drawn=dict(info.task.drawn), start=_start(info),
         explanation=explanation, scene=scene_hash(info),
-        robot=(float(x), float(y)), table=(table.center[0], table.center[1], table.size[0], table.size[1]),
+        robot=(float(base.position[0]), float(base.position[1])), robot_yaw_rad=math.atan2(ahead[1], ahead[0]),
+        table=(table.center[0], table.center[1], table.size[0], table.size[1]),
         ended=ended(reader.result),
     )  # fmt: skip
 

@@ -90,10 +90,10 @@ def shown_runs(
 
 
 def place_of(facts: Iterable[EpisodeFacts]) -> Place | None:
-    """Return where robot and table are; None: unknown, or not the same in all episodes."""
+    """Return where the table is, seen from the robot; None: unknown, or not the same in all episodes."""
     from roboxim_eval.report.charts.table_map import Place
 
-    places = {Place(robot=one.robot, table=one.table) for one in facts if one.scene}
+    places = {Place(table=one.table_from_robot) for one in facts if one.scene}
     return places.pop() if len(places) == 1 else None
 
 
@@ -159,7 +159,7 @@ def _run(
         policy=name, results=result.results, folder=Path(os.path.relpath(result.folder, out)).as_posix(), films=films,
         pages=pages, trained=trained, scenes=scenes,
         drawn={key: one.drawn for key, one in facts.items()},
-        starts={key: one.start for key, one in facts.items() if one.start is not None},
+        starts={key: start for key, one in facts.items() if (start := one.start_from_robot) is not None},
         explanation={key: one.explanation for key, one in facts.items() if one.explanation},
     )  # fmt: skip
 

@@ -346,8 +346,8 @@ def _episodes(
             arm=arm, replicate=replicate, cell=cell, scene=str(number), outcome=result.outcome,
             reason=result.reason, message=result.message, instruction=result.instruction, steps=result.steps,
             bag=bag.relative_to(folder.path).as_posix() if bag is not None and bag.exists() else "",
-            start=known.start if known else None, explanation=known.explanation if known else "",
-            drawn=recorded_factors(known.drawn, known.start) if known else {},
+            start=known.start_from_robot if known else None, explanation=known.explanation if known else "",
+            drawn=recorded_factors(known.drawn, known.start_from_robot) if known else {},
         ))  # fmt: skip
     return found
 

@@ -77,12 +77,10 @@ class Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Positions of the robot and the table, in the frame of the starts."""
+    """Position of the table in the frame of the robot's base, which is that of the starts."""
 
-    robot: tuple[float, float]
-    """Base of the robot, x and y [m]."""
-    table: tuple[float, float, float, float]
-    """Centre of the table's top, and its extent: x, y, along x, along y [m]."""
+    table: tuple[float, float, float, float] | None
+    """Centre of the table's top, and its extent: x, y, along x, along y [m]; none: it is turned against the robot."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +102,7 @@ class View:
         x = [grid.low_x, grid.low_x + grid.rows * grid.side]
         y = [grid.low_y, grid.low_y + grid.columns * grid.side]
         if place is not None:
-            x, y = [*x, place.robot[0] - 0.04], [*y, place.robot[1] - 0.1, place.robot[1] + 0.1]
+            x, y = [*x, -0.04], [*y, -0.1, 0.1]
         wider = max(0.0, MIN_WIDTH_M - (max(y) - min(y))) / 2 + MARGIN_M
         return View(low_x=min(x) - MARGIN_M, high_x=max(x) + MARGIN_M, low_y=min(y) - wider, high_y=max(y) + wider)
 
@@ -157,7 +155,7 @@ def table_map(starts: Sequence[Start], grid: Grid | None = None, place: Place | 
     view = View.of(grid, place)
     parts = [*_table(view, place), *_squares(starts, grid, view), *_axes(view)]
     if place is not None:
-        x, y = view.across(place.robot[1]), view.down(place.robot[0])
+        x, y = view.across(0.0), view.down(0.0)
         parts += [
             element("circle", cx=x, cy=y, r=11.0, class_="robot"),
             element("text", "robot", x=x + 16, y=y + 4, class_="axis"),
@@ -186,7 +184,7 @@ def mark_key(success: bool) -> Markup:
 
 def _table(view: View, place: Place | None) -> list[Markup]:
     """Return the visible part of the table's top, with its visible edges."""
-    if place is None:
+    if place is None or place.table is None:
         return []
     x, y, along_x, along_y = place.table
     low_x, high_x = max(view.low_x, x - along_x / 2), min(view.high_x, x + along_x / 2)
