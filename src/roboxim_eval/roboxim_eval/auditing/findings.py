@@ -150,7 +150,7 @@ def _clips(p: Probes) -> Statements:
         yield f"the episode has {p.beyond.steps} steps with actions at twice their bounds, {p.clipped.steps} at them"
     elif not p.beyond.final:
         yield "? observations have no floating-point numbers to compare with a tolerance, and they differ"
-    elif not np.allclose(p.beyond.final, p.clipped.final, rtol=1e-3, atol=1e-3):
+    elif not np.allclose(p.beyond.final, p.clipped.final, rtol=1e-3, atol=1e-3, equal_nan=True):
         yield "components of actions at twice their bounds have another effect than at their bounds, and no error"
 
 
@@ -203,6 +203,9 @@ def _reward(p: Probes) -> Statements:
     ]
     if not steps:
         yield "? no step states whether it succeeded"
+        return
+    if not all(math.isfinite(reward) for reward, _ in steps):
+        yield "? not all rewards are finite"
         return
     levels = {reward for reward, _ in steps}
     good = [reward for reward, success in steps if success]

@@ -72,26 +72,20 @@ class Trace:
         known = [one for one in self.successes if one is not None]
         return known[-1] if known else None
 
-    @property
-    def outcome(self) -> tuple[Any, ...]:
-        """Everything that must be equal in a repetition."""
-        return (
-            self.observations, self.rewards, self.successes, self.start_success, self.terminated, self.truncated,
-            self.instruction,
-        )  # fmt: skip
-
     def first_difference(self, other: Trace) -> str:
-        """Return the first difference of two traces of the same actions, in words; empty: none."""
+        """Return the first difference of two traces of the same actions, in words; empty: none. NaN equals NaN."""
         if self.instruction != other.instruction:
             return f"the instruction: {self.instruction!r} and {other.instruction!r}"
         pairs = zip(self.observations, other.observations, strict=False)
         for step, (one, two) in enumerate(pairs):
             if one != two:
                 return f"the observation of {f'step {step}' if step else 'the reset'}"
-        for name in ("rewards", "successes", "start_success", "terminated", "truncated"):
-            if getattr(self, name) != getattr(other, name):
-                return name
-        return "" if self.outcome == other.outcome else "the number of steps"
+        if len(self.observations) != len(other.observations) or self.steps != other.steps:
+            return "the number of steps"
+        if not np.array_equal(self.rewards, other.rewards, equal_nan=True):
+            return "rewards"
+        named = ("successes", "start_success", "terminated", "truncated")
+        return next((name for name in named if getattr(self, name) != getattr(other, name)), "")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -100,6 +100,8 @@ class Reach(gymnasium.Env):
             reward = float(np.linalg.norm(self.point - goal))
         if self.fault == "infinite_reward" and self.ticks == 2:
             reward = np.inf
+        if self.fault == "nan_reward":
+            reward = np.float64("nan")
         if self.fault == "limit_terminates":
             over, limit = over or limit, False
         return self.observation(), reward, bool(over), bool(limit and not over), self.info(success)
@@ -125,7 +127,7 @@ PLANTED = {
     "random_solves": "random_actions", "starts_solved": "starts_unsolved", "pays_failure": "reward",
     "inverted_dense": "reward", "infinite_reward": "finite_rewards", "flickers": "keeps_success", "endless": "ends",
     "limit_terminates": "time_limit", "empty_words": "instructions", "told_by_scene": "words_needed",
-    "same_scene": "scene_matters",
+    "same_scene": "scene_matters", "nan_reward": "finite_rewards",
 }  # fmt: skip
 """Planted fault to the check that must find it."""
 
@@ -142,6 +144,13 @@ def test_an_environment_without_a_fault_passes_every_check():
 def test_a_planted_fault_is_found(fault):
     found = audit_benchmark(lambda: Reach(fault), CONFIG, solver=solver)
     assert PLANTED[fault] in {one.check for one in found.findings}, found
+
+
+@pytest.mark.parametrize(("fault", "check"), [("nan_reward", "finite_rewards"), ("nan_observation", "values")])
+def test_nan_is_no_fault_of_repetitions_or_clipping(fault, check):
+    found = {one.check for one in audit_benchmark(lambda: Reach(fault), CONFIG).findings}
+    assert check in found
+    assert not found & {"same_seed", "instances", "order", "reset_leak", "clipped_actions"}
 
 
 def test_without_a_solver_what_needs_one_is_named():
@@ -174,6 +183,7 @@ class Frames(Reach):
         (Frames, CONFIG, "starts_unsolved"),
         (lambda: Frames("unclipped"), CONFIG, "clipped_actions"),
         (lambda: Reach("always_solved"), CONFIG, "reward"),
+        (lambda: Reach("nan_reward"), CONFIG, "reward"),
     ],
 )
 def test_a_check_that_could_not_be_made_has_not_passed(make, config, check):
