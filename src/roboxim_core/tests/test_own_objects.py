@@ -13,7 +13,10 @@ from PIL import Image
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.check import check_object
 from roboxim_core.models.hulls import load_mesh
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.modifiers import PALETTE
 from roboxim_core.models.urdf import mesh_path, urdf_object
+from roboxim_core.models.visuals import visual_parts
 from roboxim_core.specs import MaterialSpec
 from roboxim_core.vision.textures import pixels
 
@@ -168,3 +171,42 @@ def test_the_image_of_a_material_is_its_texture_and_must_exist(package):
     for visual in link.visual[1:]:
         assert visual.material == MaterialSpec(color=(1, 1, 1), texture=str(package / "meshes" / "print.png"))
         assert pixels(visual.material.texture)[0, 0].tolist() == [0, 0, 255]
+
+
+@pytest.mark.parametrize("source", ["mesh: meshes/box.stl\nmass: 0.05", "urdf: urdf/box.urdf"])
+def test_colors_and_materials_change_the_look_of_meshes_and_urdfs(package, source):
+    written(package)
+    (package / "objects").mkdir()
+    text = source.replace(": ", ": ../", 1)
+    (package / "objects" / "it.yaml").write_text(
+        f"name: it\n{text}\nmodifiers: {{color: {{default: red}}, material: {{default: plastic}}}}\n"
+    )
+    library = ModelLibrary(package)
+
+    def seen(**modifiers: str) -> MaterialSpec:
+        [part] = visual_parts(library.object("it", modifiers).links[0].visual[0])
+        return part.material
+
+    assert seen().color == PALETTE["red"]
+    assert seen(color="blue").color == PALETTE["blue"]
+    assert seen(material="metal").metallic == 1.0
+
+
+def test_a_material_modifier_keeps_a_meshs_own_look_by_default(package):
+    mesh = box()
+    mesh.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(metallicFactor=0.25))
+    mesh.export(package / "meshes" / "box.glb")
+    file = package / "it.yaml"
+    file.write_text("name: it\nmesh: meshes/box.glb\nmass: 0.05\nmodifiers: {material: {default: plastic}}\n")
+    _, model = check_object(file)
+    assert visual_parts(model.links[0].visual[0])[0].material.metallic == 0.25
+
+
+def test_a_color_modifier_without_a_tinted_visual_is_refused(package):
+    file = package / "it.yaml"
+    shape = "{kind: box, size: [0.04, 0.04, 0.04]}"
+    file.write_text(
+        f"name: it\nlinks: [{{mass: 0.05, collision: [{shape}], visual: [{shape}]}}]\n"
+        "modifiers: {color: {default: red}}\n"
+    )
+    assert "no visual of `links` has it" in errors(file)[0]

@@ -304,6 +304,18 @@ def test_a_larger_light_makes_softer_edges(raster: RasterRenderer, kind: str, ed
     assert widths[1] > 1.5 * widths[0]
 
 
+def test_a_lamp_casts_no_shadow_behind_itself(raster: RasterRenderer) -> None:
+    wall = _body("wall", trimesh.creation.box((0.02, 1.5, 1.5)))
+    poses = {"cube": Pose(position=(0.0, 0.0, 0.0)), "wall": Pose(position=(0.6, 0.0, 1.0))}
+    images = []
+    for shadow in (True, False):
+        light = LightSpec(kind="lamp", position=(0.3, 0.0, 0.5), shadow=shadow)
+        bodies = (_body("cube", trimesh.creation.box((0.1, 0.1, 0.1))), wall)
+        raster.load(RenderWorld(bodies=bodies, look=LookSpec(lights=(light,))))
+        images.append(raster.render(poses, [(CAMERA, look_at((-0.3, 0.0, 1.0), (0.6, 0.0, 1.0)))])["eye"].rgb)
+    assert np.array_equal(*images)
+
+
 def test_a_gpu_is_preferred_over_software(monkeypatch: pytest.MonkeyPatch) -> None:
     released: list[str] = []
 

@@ -109,6 +109,12 @@ class ObjectConfig(ObjectNotes):
         for what in located:
             if what.link and what.link not in names:
                 raise ConfigError(f"'{what.name}' is on an unknown link; {one_of(names, what.link)}")
+        tinted = any(not link.visual or any(visual.tinted for visual in link.visual) for link in self.links)
+        if self._is_tinted and not tinted:
+            raise ConfigError(
+                "the modifiers list color or material, which change only visuals with `tinted: true`, and no visual of "
+                "`links` has it: add it there, or remove the modifier"
+            )
         moving: list[Handle | PressPoint] = [*self.handles, *self.press_points]
         for part in moving:
             if part.joint not in joints or joints[part.joint].child != part.link:
@@ -148,8 +154,15 @@ class ObjectConfig(ObjectNotes):
                 if shape.kind == "hull" and not shape.mesh:
                     raise ConfigError(f"link '{link.name}': a hull needs a mesh")
 
+    @property
+    def _is_tinted(self) -> bool:
+        """Whether a modifier changes the look."""
+        return "color" in self.modifiers or "material" in self.modifiers
+
     def resolved(self, folder: Path) -> ObjectConfig:
         """Return the configuration with ``links`` in place of ``mesh`` or ``urdf``.
+
+        The modifiers ``color`` and ``material`` apply to all visuals of a mesh or a URDF.
 
         Args:
             folder: Folder of the YAML file, which other files are relative to.
@@ -167,13 +180,17 @@ class ObjectConfig(ObjectNotes):
                 raise ConfigError(
                     "masses come from the urdf; leave `mass` out: it is only for a urdf of one link without a mass"
                 )
+            links = tuple(
+                replace(link, visual=tuple(replace(visual, tinted=self._is_tinted) for visual in link.visual))
+                for link in links
+            )
             return replace(self, urdf="", mass=0.0, links=links, joints=joints)
         if self.mesh:
             scale = self.mesh_scale
             link = LinkModel(
                 mass=self.mass,
                 collision=(Shape(kind="hull", mesh=self.mesh, scale=scale),),
-                visual=(Visual(kind="mesh", mesh=self.mesh, scale=(scale, scale, scale)),),
+                visual=(Visual(kind="mesh", mesh=self.mesh, scale=(scale, scale, scale), tinted=self._is_tinted),),
             )
             return replace(self, mesh="", mesh_scale=1.0, mass=0.0, links=(link,))
         return self

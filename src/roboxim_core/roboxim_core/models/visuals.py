@@ -60,7 +60,7 @@ def _visual_parts(visual: Visual, _stamp: Stamp) -> tuple[VisualPart, ...]:
 
 def _mesh_parts(visual: Visual, *, linear: bool) -> tuple[VisualPart, ...]:
     parts = _load_mesh(visual.mesh, linear, mesh_stamp(visual.mesh))
-    if visual.tinted or visual.material != MaterialSpec():
+    if visual.material != MaterialSpec():  # else the mesh keeps its own materials
         parts = tuple(VisualPart(mesh=part.mesh, material=visual.material) for part in parts)
     return tuple(_placed(_stretched(part, visual.scale), visual.pose) for part in parts)
 

@@ -28,6 +28,7 @@ float sunlit() {
     vec4 p = light_from_world * vec4(position + normal * eye.w, 1.0);
 #endif
 #ifdef LAMP
+    if (p.w <= 0.0) return 1.0;           // behind the lamp as it looks at the casters
     p.xyz /= p.w;
 #endif
     vec2 at = p.xy * shadow_size + 0.5;
