@@ -53,8 +53,10 @@ def test_parts_are_experiments_with_seeds_of_their_own_and_datasets_of_equal_siz
     designs = parts_of(replicates=2)
     seeds = [training.seed for design in designs for training in design.trainings]
     assert sorted(set(seeds)) == list(range(12))
-    sizes = {sum(design.datasets["leave_out"].values()) for design in designs}
-    assert sizes == {330}, "22 of each of 15 cells, where 12 cells had 27"
+    sizes = {sum(design.datasets[name].values()) for design in designs for name in ("leave_out", "baseline")}
+    assert sizes == {324}, "21 or 22 of each of 15 cells, where 12 cells had 27, and 18 of each of 18"
+    config = replace(laptop(), replicates=replace(laptop().replicates, first_seed=40))
+    assert [one.replicates.first_seed for one in rotated(config, 3, 3, 2)] == [40, 42, 44]
 
 
 def test_a_part_without_an_own_seed_is_written_as_before():

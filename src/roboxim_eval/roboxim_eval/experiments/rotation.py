@@ -19,7 +19,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
 from roboxim_eval.experiments.cells import Cell, cells_of, chosen
-from roboxim_eval.experiments.config import ExperimentConfig
+from roboxim_eval.experiments.config import DatasetConfig, ExperimentConfig
 from roboxim_eval.statistics.rotated import Part, RotatedScore, rotated_score
 
 MIN_SETS = 3
@@ -95,8 +95,8 @@ def _levels(cells: Sequence[Cell]) -> Iterator[list[int]]:
 def rotated(config: ExperimentConfig, sets: int, held_out: int, replicates: int = 1) -> tuple[ExperimentConfig, ...]:
     """Return the parts of a rotated design: the experiment with each of the held-out sets.
 
-    The trainings of each part have their own seeds. Datasets of seen cells keep their sizes: with fewer cells held out
-    they have fewer demonstrations of each.
+    The trainings of each part have their own seeds, from the experiment's first one on. Datasets of seen cells keep
+    their sizes: with fewer cells held out they have fewer demonstrations of each, and of some cells one more.
 
     Args:
         config: The experiment at its scale; its own held-out cells are replaced.
@@ -114,22 +114,34 @@ def rotated(config: ExperimentConfig, sets: int, held_out: int, replicates: int 
     if primary is None or primary.where != "unseen" or primary.against:
         raise ConfigError("a rotated design needs a primary comparison of two conditions in unseen cells")
     cells = cells_of(config)
-    before = len(chosen(cells, "seen"))
-    datasets = {
-        name: replace(data, per_cell=max(1, round(data.per_cell * before / (len(cells) - held_out))))
-        if data.cells == "seen" and not data.only
-        else data
-        for name, data in config.datasets.items()
-    }
-    return tuple(
-        replace(
-            config,
-            unseen=tuple(cell.levels for cell in held),
-            datasets=datasets,
-            replicates=replace(config.replicates, count=replicates, first_seed=number * replicates),
-        )
-        for number, held in enumerate(held_out_sets(cells, sets, held_out))
-    )
+    before, first = len(chosen(cells, "seen")), config.replicates.first_seed
+    parts = []
+    for number, held in enumerate(held_out_sets(cells, sets, held_out)):
+        seen = [cell.key for cell in cells if cell not in held]
+        given = config.datasets.items()
+        datasets = {name: _spread(data, before, seen) if _all_seen(data) else data for name, data in given}
+        seeds = replace(config.replicates, count=replicates, first_seed=first + number * replicates)
+        unseen = tuple(cell.levels for cell in held)
+        parts.append(replace(config, unseen=unseen, datasets=datasets, replicates=seeds))
+    return tuple(parts)
+
+
+def _all_seen(data: DatasetConfig) -> bool:
+    """Return whether a dataset is of every seen cell."""
+    return data.cells == "seen" and not data.only
+
+
+def _spread(data: DatasetConfig, before: int, seen: Sequence[str]) -> DatasetConfig:
+    """Return a dataset with as many demonstrations, spread over other cells.
+
+    Args:
+        data: The dataset.
+        before: Number of its cells.
+        seen: The other cells.
+    """
+    total = data.per_cell * before + sum(data.more.values())
+    per_cell, rest = divmod(max(total, len(seen)), len(seen))
+    return replace(data, per_cell=per_cell, more={seen[n * len(seen) // rest]: 1 for n in range(rest)})
 
 
 def joined(cards: Sequence[Card]) -> RotatedScore:
@@ -165,7 +177,9 @@ def _trainer(card: Card) -> str:
 
 
 def _without_set(config: ExperimentConfig) -> ExperimentConfig:
-    return replace(config, unseen=(), deviations=(), replicates=replace(config.replicates, first_seed=0))
+    datasets = {name: replace(data, more={}) if _all_seen(data) else data for name, data in config.datasets.items()}
+    seeds = replace(config.replicates, first_seed=0)
+    return replace(config, unseen=(), deviations=(), datasets=datasets, replicates=seeds)
 
 
 __all__ = ["MIN_SETS", "held_out_sets", "joined", "rotated"]
