@@ -1,5 +1,8 @@
 """Search for failing regions: planted boxes are found with fewer points, and policies without one have none."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -70,6 +73,12 @@ def test_a_region_is_named_in_words():
     assert "cm to the near edge of its area and light intensity under 2" in region.words
     assert region.inside[0] >= 10
     assert region.outside[0] <= 2
+
+
+def test_a_range_that_ends_at_no_edge_is_named_with_its_axis_and_unit():
+    place = replace(FACTORS[0], unit="m", axis="x")
+    found = search(oracle_of({"x": (0.48, 0.52)}, np.random.default_rng(0), 1.0, 0.0), [place], SearchConfig(first=64))
+    assert re.fullmatch(r"x of the object from 0\.4\d* to 0\.5\d* m", found[0].words)
 
 
 def test_points_without_a_scene_are_left_out():

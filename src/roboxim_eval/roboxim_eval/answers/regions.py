@@ -52,6 +52,8 @@ class Factor:
     """Names of the lower and the upper end, e.g. ``near edge of its area``; empty: they have none."""
     unit: str = ""
     """Unit, for words."""
+    axis: str = ""
+    """Axis of a place, e.g. ``x``, for words about a range that lies at no end with a name; empty: it is no place."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -307,16 +309,17 @@ def _confirmed(
 def _words(factor: Factor, low: float, high: float) -> str:
     """Name a range of a factor, e.g. ``object closer than 6 cm to the near edge of its area``."""
     name, unit = factor.words or factor.name, f" {factor.unit}" if factor.unit else ""
+    along = f"{factor.axis} of {name}" if factor.axis and factor.words else name
     slack = 1e-9 * (factor.upper - factor.lower)
     if low <= factor.lower + slack:
         if factor.edges[0]:
             return f"{name} closer than {100 * (high - factor.lower):.0f} cm to the {factor.edges[0]}"
-        return f"{name} under {high:.3g}{unit}"
+        return f"{along} under {high:.3g}{unit}"
     if high >= factor.upper - slack:
         if factor.edges[1]:
             return f"{name} closer than {100 * (factor.upper - low):.0f} cm to the {factor.edges[1]}"
-        return f"{name} over {low:.3g}{unit}"
-    return f"{name} from {low:.3g} to {high:.3g}{unit}"
+        return f"{along} over {low:.3g}{unit}"
+    return f"{along} from {low:.3g} to {high:.3g}{unit}"
 
 
 __all__ = ["Factor", "Oracle", "Region", "SearchConfig", "failing_box", "search", "sobol"]

@@ -30,6 +30,7 @@ WORDS = {
     "reset.objects.yaw_rad": "yaw of the object",
     "reset.lights.intensity": "light intensity",
     "reset.physics.table_friction": "friction of the table",
+    "reset.robot.position": "the gripper at the start",
     "reset.robot.yaw_rad": "yaw of the gripper at the start",
 }
 EDGES = {
@@ -37,6 +38,10 @@ EDGES = {
     "reset.objects.area.1": ("right edge of its area", "left edge of its area"),
 }
 """What lies at the ends of a range, seen from the robot."""
+PLACES = ("area", "position")
+"""Last keys of ranges that are places in the world [m]."""
+UNITS = {"_rad": "rad", "_m": "m"}
+"""Ends of keys to the unit of what they say."""
 ROLLOUTS = "rollouts.jsonl"
 """File of a search's folder with the outcome of each point."""
 SUCCESS, FAILURE, UNSOLVED, INFEASIBLE = "success", "failure", "unsolved", "infeasible"
@@ -109,9 +114,13 @@ def factors_of(task_config: str, names: Sequence[str] = ()) -> dict[str, tuple[F
 
 
 def _factor(name: str, key: str, low: float, high: float) -> Factor:
+    parts = key.split(".")
+    place = parts[-1] in PLACES
+    unit = "m" if place else next((unit for part in parts for end, unit in UNITS.items() if part.endswith(end)), "")
     return Factor(
-        name=name, lower=float(low), upper=float(high), words=WORDS.get(key, ""), edges=EDGES.get(name, ("", ""))
-    )
+        name=name, lower=float(low), upper=float(high), words=WORDS.get(key, ""), edges=EDGES.get(name, ("", "")),
+        unit=unit, axis="xyz"[int(name.rpartition(".")[2])] if place and name != key else "",
+    )  # fmt: skip
 
 
 def _ranges(value: Any, path: Place) -> Iterator[tuple[Place, Any, Any]]:

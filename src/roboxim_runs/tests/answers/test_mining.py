@@ -28,6 +28,10 @@ def test_ranges_of_a_task_are_its_factors():
     assert list(chosen) == ["reset.objects.area.0", "reset.objects.area.1"]
     data = at_point(parse_yaml(text), chosen, [0.5, 0.1])
     assert data["reset"]["objects"]["area"]["lower"] == pytest.approx([0.5, 0.1], abs=1e-5)
+    named = {name: (factor.words, factor.axis, factor.unit) for name, (factor, _, _) in found.items()}
+    assert named["reset.objects.area.1"] == ("the object", "y", "m")
+    assert named["reset.objects.yaw_rad"] == ("yaw of the object", "", "rad")
+    assert named["reset.robot.position.2"] == ("the gripper at the start", "z", "m")
     with pytest.raises(ConfigError, match="no factor 'reset.light'"):
         factors_of(text, ["reset.light"])
     with pytest.raises(ConfigError, match="no range"):
