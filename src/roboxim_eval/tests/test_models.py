@@ -12,7 +12,7 @@ from scipy.stats import ttest_ind
 from roboxim_core.config import load_yaml, named_config
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import design_of, experiment_config, scale_names
-from roboxim_eval.experiments.card import CardDataset, CardEnvironment, parse_card
+from roboxim_eval.experiments.card import CardCode, CardDataset, CardEnvironment, parse_card
 from roboxim_eval.experiments.card_checks import concluded
 from roboxim_eval.experiments.models import compare_models
 from roboxim_eval.report.models import models_page
@@ -141,7 +141,10 @@ def test_all_scales_of_a_shipped_experiment_can_be_compared(name):
         assert compare_models(cards, condition=condition).cells
 
 
-def run_of(card, *, trainer="", renderer="raster", packages="1" * 64, datasets=("aaaaaaaa", "bbbbbbbb")):
+CODE = CardCode(version="0.1.0", commit="a" * 40)
+
+
+def run_of(card, *, trainer="", renderer="raster", packages="1" * 64, datasets=("aaaaaaaa", "bbbbbbbb"), code=CODE):
     """Return a card that states where it ran, and the hashes of the datasets of its first two generations."""
     generations = {
         f"{name}.{number}": CardDataset(sha256=f"{sha}{name}", by_cell={"pick_up target=onion": 324})
@@ -151,7 +154,7 @@ def run_of(card, *, trainer="", renderer="raster", packages="1" * 64, datasets=(
     trainings = [replace(t, dataset=f"{t.dataset}.{min(t.replicate, len(datasets) - 1)}") for t in card.trainings]
     return replace(
         card, environment=CardEnvironment(renderer=renderer, packages_sha256=packages), datasets=generations,
-        trainings=tuple(trainings), experiment=replace(card.experiment, trainer=trainer),
+        trainings=tuple(trainings), code=code, experiment=replace(card.experiment, trainer=trainer),
     )  # fmt: skip
 
 
@@ -170,6 +173,9 @@ def test_circumstances_that_differ_are_said():
     assert said() == said(trainer="external") == (), "two trainers of an experiment are what is compared"
     assert said(renderer="") == said(datasets=()) == (), "what a card does not state is not compared"
     assert said(renderer="tiny") == expected("renderer", "raster", "tiny")
+    assert said(code=CardCode(version="0.1.0", commit="b29ef51411701234", dirty=True)) == expected(
+        "version of the code", "0.1.0 at aaaaaaaaaaaa", "0.1.0 at b29ef5141170 with uncommitted changes"
+    )  # fmt: skip
     assert said(packages="2" * 64) == expected("installed packages (by hash)", "11111111", "22222222")
     assert said(datasets=("cccccccc",)) == expected(
         "training datasets (by hash)", "324 demonstrations as rlds, aaaaaaaa, bbbbbbbb",
@@ -192,8 +198,9 @@ def test_published_cards_of_one_experiment_are_compared():
     }
     found = compare_models(cards)
     assert len(found.cells) == 6
-    (said,) = found.circumstances
-    assert said.startswith("The runs differ in scale"), "both trained with the same datasets"
+    scale, code = found.circumstances
+    assert scale.startswith("The runs differ in scale"), "both trained with the same datasets"
+    assert "version of the code, too: 0.1.0 at 57ef49272" in code
 
 
 # ------------------------------------------------------------------ different numbers of trainings

@@ -61,6 +61,12 @@ class CardCode:
     dirty: bool = False
     """Whether files differed from the commit."""
 
+    @property
+    def words(self) -> str:
+        """The version of the code in words, e.g. ``0.1.0 at b29ef5141170``."""
+        at = f" at {self.commit[:12]}" if self.commit else ""
+        return f"{self.version}{at}{' with uncommitted changes' if self.dirty else ''}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class CardEnvironment:

@@ -97,6 +97,7 @@ def circumstances(cards: Mapping[str, Card], condition: str) -> Iterator[str]:
         "scale": lambda card: card.experiment.scale,
         "image size": lambda card: card.experiment.config.image_size,
         "renderer": lambda card: card.environment.renderer,
+        "version of the code": lambda card: card.code.words,
         "installed packages (by hash)": lambda card: card.environment.packages_sha256[:SHOWN_HASH],
     }
     found = {what: {name: fact(card) for name, card in cards.items()} for what, fact in facts.items()}

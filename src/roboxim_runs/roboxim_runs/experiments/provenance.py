@@ -127,7 +127,7 @@ def origin_statements(origins: Mapping[str, Origin | None], renderers: Mapping[s
         renderers: Stage that draws images to its renderer.
     """
     known = {name: origin for name, origin in origins.items() if origin is not None}
-    codes = {name: _code_text(known[name].code) if name in known else UNKNOWN for name in origins}
+    codes = {name: known[name].code.words if name in known else UNKNOWN for name in origins}
     packages = {name: known[name].packages_sha256[:16] if name in known else UNKNOWN for name in origins}
     machines = {name: origin.device for name, origin in known.items() if origin.device}
     shared = {
@@ -140,13 +140,6 @@ def origin_statements(origins: Mapping[str, Origin | None], renderers: Mapping[s
         if len(stages) > 1:
             shown = (f"{value} ({_first_of(names)})" for value, names in stages.items())
             yield f"stages ran with {len(stages)} {what}: {', '.join(shown)}"
-
-
-def _code_text(code: CardCode) -> str:
-    """Return a version of the code in words, e.g. ``0.1.0 at b29ef5141170``."""
-    return code.version + (f" at {code.commit[:12]}" if code.commit else "") + (
-        " with uncommitted changes" if code.dirty else ""
-    )  # fmt: skip
 
 
 def _first_of(names: list[str]) -> str:
