@@ -60,6 +60,7 @@ from roboxim_planner.scene import PlanningScene, SceneMaker
 from roboxim_planner.tracker import SceneTracker
 from roboxim_ros import qos
 from roboxim_ros.clients import wait_until
+from roboxim_ros.goal_queue import GoalQueue
 from roboxim_ros.local import ticks as local_ticks
 from roboxim_ros.local.ticks import LocalTick
 from roboxim_ros.messages.conversions import fill_pose, from_msg
@@ -95,7 +96,7 @@ class PlannerNode(RoboximNode):
     """Serves ``planner/*``. Requests are answered one at a time; the scene's topics are received meanwhile."""
 
     executor_threads = 3
-    """One for requests, one for the scene's topics, one for cancelling."""
+    """One for services, one for goals, and one for topics and cancelling."""
 
     def __init__(self, *, context: Context, namespace: str = "", parameters: dict[str, Any] | None = None) -> None:
         """Make the node; see `RoboximNode`."""
@@ -131,8 +132,9 @@ class PlannerNode(RoboximNode):
         ):
             self.serve(kind, f"planner/{name}", self._one_at_a_time(handler), callback_group=requests, inline=True)
         self.offer("planner/check_path", self._one_at_a_time(self._check_path), inline=True)
+        goals = GoalQueue()
         self._actions = [
-            self.serve_action(kind, f"planner/{name}", execute, callback_group=ReentrantCallbackGroup())
+            self.serve_action(kind, f"planner/{name}", execute, queue=goals, callback_group=ReentrantCallbackGroup())
             for kind, name, execute in (
                 (PlanMotion, "plan_motion", self._execute_motion),
                 (PlanSequence, "plan_sequence", self._execute_sequence),

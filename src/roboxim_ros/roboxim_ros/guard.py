@@ -32,6 +32,7 @@ from rclpy.serialization import serialize_message
 from roboxim_core import limits
 from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError
 from roboxim_ros.bounds import check_message
+from roboxim_ros.goal_queue import GoalQueue
 from roboxim_ros.local import calls as local_calls
 from roboxim_ros.shared_memory import fault_of_folder, private_files, seal
 
@@ -285,7 +286,13 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
         super().add_on_set_parameters_callback(guarded)
 
     def serve_action(
-        self, action_type: Any, name: str, execute: Callable[[ServerGoalHandle], Any], **kwargs: Any
+        self,
+        action_type: Any,
+        name: str,
+        execute: Callable[[ServerGoalHandle], Any],
+        *,
+        queue: GoalQueue | None = None,
+        **kwargs: Any,
     ) -> ActionServer:
         """Offer an action.
 
@@ -296,13 +303,19 @@ class GuardedNode(Node):  # type: ignore[misc]  # rclpy has no types
             name: Name, relative to the namespace.
             execute: Called with the goal's handle; a function or a coroutine function. It ends the goal and returns the
                 result. An exception aborts the goal and becomes the result.
+            queue: Queue in which the goals wait for their turn; ``execute`` is then no coroutine function. None: every
+                goal is executed at once.
             **kwargs: Passed to ``ActionServer``, e.g. ``callback_group``.
         """
+        guarded = _guarded_execute(self.get_logger(), name, execute, action_type.Result)
+        if queue is not None:
+            guarded = queue.in_turn(guarded)
+            kwargs["handle_accepted_callback"] = queue.add
         return ActionServer(
             self,
             action_type,
             name,
-            execute_callback=_guarded_execute(self.get_logger(), name, execute, action_type.Result),
+            execute_callback=guarded,
             goal_callback=lambda _: GoalResponse.ACCEPT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             result_timeout=10,

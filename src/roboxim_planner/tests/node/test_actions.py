@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from planner_graph import FOLDED, HOME, Graph, divided, result_of, sequence, target
+from planner_graph import FOLDED, HOME, Graph, divided, result_of, sequence, target, wait_for
 from rclpy.action import ActionClient
 from roboxim_interfaces.action import PlanMotion
 from roboxim_interfaces.action import PlanSequence as PlanSequenceAction
@@ -13,7 +15,7 @@ from roboxim_interfaces.srv import PlanSequence
 from sensor_msgs.msg import JointState
 
 from roboxim_core.errors import ErrorCode
-from roboxim_ros.testing import PATIENCE_S
+from roboxim_ros.testing import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.ros
 
@@ -27,11 +29,36 @@ def test_action_plans_and_can_be_cancelled(graph: Graph) -> None:
         assert result_of(graph.clients, client, goal).plan.route == "direct"
         goal.kind = 9
         assert result_of(graph.clients, client, goal).error_code == ErrorCode.INVALID_REQUEST
-        endless = PlanMotion.Goal(kind=PlanMotion.Goal.JOINTS, joint_target=JointState(position=[-1.2, *FOLDED]))
-        endless.request.start_state = JointState(position=[1.2, *FOLDED])
-        endless.request.scene.objects = divided()
-        endless.request.timeout = PATIENCE_S
-        assert result_of(graph.clients, client, endless, cancel=True).error_code == ErrorCode.CANCELLED
+        assert result_of(graph.clients, client, endless(), cancel=True).error_code == ErrorCode.CANCELLED
+    finally:
+        client.destroy()
+
+
+def endless() -> PlanMotion.Goal:
+    """Return a goal whose planning ends only when it is cancelled."""
+    goal = PlanMotion.Goal(kind=PlanMotion.Goal.JOINTS, joint_target=JointState(position=[-1.2, *FOLDED]))
+    goal.request.start_state = JointState(position=[1.2, *FOLDED])
+    goal.request.scene.objects = divided()
+    goal.request.timeout = PATIENCE_S
+    return goal
+
+
+def test_goals_that_wait_leave_the_planner_able_to_cancel(graph: Graph) -> None:
+    client = ActionClient(graph.clients.node, PlanMotion, "planner/plan_motion")
+    running: list[int] = []
+
+    def send(number: int) -> Any:
+        return client.send_goal_async(endless(), feedback_callback=lambda _: running.append(number))
+
+    try:
+        assert client.wait_for_server(PATIENCE_S)
+        goals = [wait_for(graph.clients.in_thread(lambda number=number: send(number))) for number in range(4)]
+        eventually(lambda: running)
+        for goal in reversed(goals):
+            wait_for(graph.clients.in_thread(goal.cancel_goal_async))
+        codes = [wait_for(graph.clients.in_thread(goal.get_result_async)).result.error_code for goal in goals]
+        assert codes == [ErrorCode.CANCELLED] * 4
+        assert set(running) == {0}, "the others were cancelled before their turn"
     finally:
         client.destroy()
 
