@@ -18,6 +18,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_planner.messages.conversions import (
     TCP,
+    WORLD,
     joints_from_msg,
     limited,
     naming,
@@ -188,7 +189,7 @@ def motion_query(common: Common, msg: Any) -> Query:
         return line_query(common, msg)
     if msg.kind != msg.POSE:
         raise InvalidRequestError(f"kind must be POSE (0), JOINTS (1) or CARTESIAN (2), got {msg.kind}")
-    frames = {pose.header.frame_id for pose in msg.waypoints}
+    frames = {pose.header.frame_id or WORLD for pose in msg.waypoints}
     if len(frames) != 1:
         raise InvalidRequestError(f"POSE needs at least one waypoint, all in one frame; got {sorted(frames)}")
     return pose_query(common, [pose.pose for pose in msg.waypoints], frames.pop())
@@ -227,15 +228,15 @@ def _stage(common: Common, msg: Any, name: str) -> Stage:
 
 def _stage_goal(common: Common, stamped: Any, relative: bool, what: str) -> StageGoal:
     frame = stamped.header.frame_id
+    msg = stamped.pose
+    if relative and not any((msg.orientation.x, msg.orientation.y, msg.orientation.z, msg.orientation.w)):
+        msg = PoseMsg(position=msg.position)  # no rotation
     if frame == TCP:
-        return StageGoal(pose=optional_pose(stamped.pose, what=what), frame=TCP)
+        return StageGoal(pose=optional_pose(msg, what=what), frame=TCP)
     if not relative:
-        return StageGoal(pose=common.target(stamped.pose, frame, what))
+        return StageGoal(pose=common.target(msg, frame, what))
     axes = replace(common.target(PoseMsg(), frame, what), position=(0.0, 0.0, 0.0))  # the frame's axes in the world
-    q = stamped.pose.orientation
-    if not any((q.x, q.y, q.z, q.w)):
-        stamped.pose.orientation.w = 1.0
-    return StageGoal(pose=axes @ optional_pose(stamped.pose, what=what) @ axes.inverse(), relative=True)
+    return StageGoal(pose=axes @ optional_pose(msg, what=what) @ axes.inverse(), relative=True)
 
 
 def retime_query(common: Common, msg: Any) -> Query:

@@ -27,6 +27,8 @@ def test_action_plans_and_can_be_cancelled(graph: Graph) -> None:
         goal = PlanMotion.Goal(kind=PlanMotion.Goal.POSE, waypoints=[target()])
         goal.request.start_state = JointState(position=HOME)
         assert result_of(graph.clients, client, goal).plan.route == "direct"
+        goal.waypoints.append(target(frame=""))
+        assert result_of(graph.clients, client, goal).error_code == ErrorCode.OK, "an empty frame is the world too"
         goal.kind = 9
         assert result_of(graph.clients, client, goal).error_code == ErrorCode.INVALID_REQUEST
         assert result_of(graph.clients, client, endless(), cancel=True).error_code == ErrorCode.CANCELLED
@@ -71,6 +73,11 @@ def test_sequence_grasps_and_lifts(graph: Graph) -> None:
     for before, after in zip(answer.plans, answer.plans[1:], strict=False):
         end = np.array(before.trajectory.points[-1].positions)
         assert np.abs(end - np.array(after.trajectory.points[0].positions)).max() < 1e-6
+    moved = sequence()
+    moved.stages[1].relative = True
+    moved.stages[1].goals[0].pose.orientation.x = moved.stages[1].goals[0].pose.orientation.w = 0.0
+    lines = graph.call(PlanSequence, "plan_sequence", moved).plans
+    assert lines[1].tcp_poses[-1].position.z == pytest.approx(heights[1], abs=1e-4), "a displacement without rotation"
     far = sequence()
     far.stages[0].goals[0].pose.position.x = 1.6
     error = graph.refused(PlanSequence, "plan_sequence", far)
