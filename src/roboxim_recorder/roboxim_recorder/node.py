@@ -5,6 +5,9 @@ matched still arrives. Messages that were published before the episode was opene
 timestamps and ignored. Subscriptions are created once and kept, because matching takes time. A tick's messages are
 taken together when the loop's step arrives, which ends the tick: waking for each message would slow the sim down.
 
+An additional topic that is latched has a value that is in force when the episode begins. Its subscription is made anew
+for each episode, so that the value is received again and recorded.
+
 An evaluator of the same process hands the step over by a call (`roboxim_ros.local.recording`), whose answer replaces
 the acknowledgement. The same steps may also arrive as messages, if there are other subscribers; these are then ignored.
 
@@ -19,7 +22,7 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -80,7 +83,8 @@ class RecorderNode(RoboximNode):
         self._called = False  # whether the open episode's steps come by calls
         self._received: tuple[str, tuple[str, ...]] = ("", ())
         self._fault: RoboximError | None = None
-        self._subscribed: dict[str, tuple[str, Subscription]] = {}
+        self._subscribed: dict[str, tuple[tuple[str, str, QoSProfile], Subscription]] = {}
+        self._latched: set[str] = set()  # additional topics whose values from before the episode belong to it
         self._recorded_out = self.create_publisher(RecordedTick, "recorder/recorded", qos.EVENTS)
         self._info_out = self.create_publisher(EpisodeInfoMsg, "episode/info", qos.LATCHED)
         self._notices = self.resolve_topic_name(topics.NOTICE[1:])
@@ -102,20 +106,21 @@ class RecorderNode(RoboximNode):
         info = from_msg(request.info, EpisodeInfo)
         if self._recording is not None:
             self._abort(f"'{info.episode_id}' is opened")
-        extra = {name: self._type_of(name) for name in request.topics}
+        extra = self._extra_topics(request.topics, {**topics.OWN, **topics.scene_topics(info.scene)})
         recording = EpisodeRecording(
             require_inside(request.output_dir, self._root),
             info,
             serialize_message(request.info),
-            {topics.absolute(name): kind for name, kind in extra.items()},
+            {topic: kind for topic, (_, kind) in extra.items()},
         )
         self._opened_ns = time.time_ns()
         self._failed = ""
         self._called = False
         self._subscribe_ticks(recording.expected)
-        for name, kind in extra.items():
-            self._subscribe(name, kind, self._matching_qos(name))
+        self._latched = set()
         self._recording = recording
+        for topic in recording.extra:
+            self._subscribe_extra(topic, *extra[topic])
         self._info_out.publish(request.info)
         response.bag = str(recording.path)
 
@@ -164,22 +169,41 @@ class RecorderNode(RoboximNode):
         local = local_ticks.announced(self.context, self._notices)
         for topic, kind in expected.items():
             if topic == topics.STEP:
-                self._subscribe(topic[1:], kind, qos.EVENTS)
+                self._subscribe(topic, self.resolve_topic_name(topic[1:]), kind, qos.EVENTS)
             elif not local:
-                self._subscribe(topic[1:], kind, qos.EVENTS, self._of_ticks)
+                self._subscribe(topic, self.resolve_topic_name(topic[1:]), kind, qos.EVENTS, self._of_ticks)
 
-    def _subscribe(self, name: str, kind: str, profile: QoSProfile, group: CallbackGroup | None = None) -> None:
-        """Subscribe to a topic by its name in the graph, unless that is done; another type replaces it."""
-        topic = topics.absolute(name)
+    def _subscribe_extra(self, topic: str, full: str, kind: str) -> None:
+        """Subscribe to an additional topic; again if it is latched, to receive the value that is in force."""
+        profile = self._matching_qos(full)
+        if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            self._latched.add(topic)
+            if topic in self._subscribed:
+                self.destroy_subscription(self._subscribed.pop(topic)[1])
+        self._subscribe(topic, full, kind, profile)
+
+    def _subscribe(
+        self, topic: str, full: str, kind: str, profile: QoSProfile, group: CallbackGroup | None = None
+    ) -> None:
+        """Subscribe to a topic, unless that is done; another source, type or QoS replaces it.
+
+        Args:
+            topic: Its name in the bag.
+            full: Its full name in the graph.
+            kind: Its type.
+            profile: QoS of the subscription.
+            group: Callback group; none: the node's.
+        """
+        source = full, kind, profile
         known = self._subscribed.get(topic)
         if known is not None:
-            if known[0] == kind:
+            if known[0] == source:
                 return
             self.destroy_subscription(known[1])
         subscription = self.subscribe(
-            _message_class(kind), name, self._callback(topic), profile, raw=True, callback_group=group
+            _message_class(kind), full, self._callback(topic), profile, raw=True, callback_group=group
         )
-        self._subscribed[topic] = (kind, subscription)
+        self._subscribed[topic] = (source, subscription)
 
     def _callback(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
         def received(cdr: bytes, info: dict[str, Any]) -> None:  # two parameters: rclpy then passes the source's time
@@ -195,12 +219,14 @@ class RecorderNode(RoboximNode):
 
     def _on_message(self, topic: str, cdr: bytes | memoryview, source_ns: int) -> None:
         recording = self._recording
-        if recording is None or source_ns < self._opened_ns or not recording.wants(topic):
+        if recording is None or not recording.wants(topic):
+            return
+        if source_ns < self._opened_ns and topic not in self._latched:
             return
         try:
             if topic == topics.STEP:
                 self._take_shown(recording, cdr)
-            whole = recording.message(topic, cdr)
+            whole = recording.message(topic, cdr, source_ns)
             if not self._called:
                 for seq in whole:
                     self._recorded_out.publish(RecordedTick(episode_id=recording.info.episode_id, seq=seq))
@@ -277,20 +303,44 @@ class RecorderNode(RoboximNode):
 
     # ---------------------------------------------------------------- extra topics
 
-    def _type_of(self, topic: str) -> str:
+    def _extra_topics(self, names: Sequence[str], standard: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+        """Return the name in the bag of additional topics, with the full name in the graph and the type.
+
+        Args:
+            names: Their names in the request.
+            standard: Topics that the episode has anyway, by their names in the bag.
+
+        Raises:
+            InvalidRequestError: When a topic has no publisher, or its name in the bag is that of another one.
+        """
+        found: dict[str, tuple[str, str]] = {}
+        for name in names:
+            full, kind = self._source_of(name)
+            topic = topics.absolute(full.removeprefix(f"{self.get_namespace().rstrip('/')}/"))
+            own = self.resolve_topic_name(topic[1:])
+            other = found[topic][0] if topic in found else own if topic in standard else full
+            if other != full:
+                raise InvalidRequestError(
+                    f"cannot record topic '{name}': in the bag it would have the name of {other}; record one of them"
+                )
+            found[topic] = full, kind
+        return found
+
+    def _source_of(self, name: str) -> tuple[str, str]:
+        """Return the full name and the type of a topic that has a publisher."""
         try:
-            validate_topic_name(topic)
+            validate_topic_name(name)
         except InvalidTopicNameException as error:
-            raise InvalidRequestError(f"cannot record topic {limits.echo(topic)}: {error}") from None
-        full = self.resolve_topic_name(topic)
+            raise InvalidRequestError(f"cannot record topic {limits.echo(name)}: {error}") from None
+        full = self.resolve_topic_name(name)
         found = dict(self.get_topic_names_and_types())
         if full not in found:
-            raise InvalidRequestError(f"cannot record topic '{topic}': no node publishes it; {one_of(found, full)}")
-        return str(found[full][0])
+            raise InvalidRequestError(f"cannot record topic '{name}': no node publishes it; {one_of(found, full)}")
+        return full, str(found[full][0])
 
-    def _matching_qos(self, topic: str) -> QoSProfile:
-        """Return a QoS that is compatible with every present publisher of a topic."""
-        offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
+    def _matching_qos(self, full: str) -> QoSProfile:
+        """Return a QoS that is compatible with every present publisher of a topic, by its full name."""
+        offered = [info.qos_profile for info in self.get_publishers_info_by_topic(full)]
         volatile = any(profile.durability != DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
         return QoSProfile(
             history=HistoryPolicy.KEEP_LAST,

@@ -71,6 +71,25 @@ def outcome_metadata(info: EpisodeInfo, result: EpisodeResult, received: Sequenc
     }
 
 
+def result_facts(info: EpisodeInfo, last_seq: int, state_hash: str) -> dict[str, object]:
+    """Return the fields of an episode's result that follow from its info and its last tick, with their values.
+
+    Args:
+        info: The episode.
+        last_seq: Its last tick.
+        state_hash: Hash of that tick's state.
+    """
+    return {
+        "episode_id": info.episode_id,
+        "index": info.index,
+        "attempt": info.attempt,
+        "last_seq": last_seq,
+        "instruction": info.task.instruction,
+        "skill": info.task.skill,
+        "final_state_hash": state_hash,
+    }
+
+
 def _alone(method: Callable[Concatenate[EpisodeRecording, P], R]) -> Callable[Concatenate[EpisodeRecording, P], R]:
     """Make a method run in one thread at a time per recording."""
 
@@ -102,8 +121,9 @@ class EpisodeRecording:
         self._lock = threading.RLock()
         self.info = info
         self.expected = topics.scene_topics(info.scene)
-        self.extra = {name: kind for name, kind in (extra_topics or {}).items() if name not in self.expected}
-        kinds = {**topics.OWN, **self.expected, **self.extra}
+        standard = {**topics.OWN, **self.expected}
+        self.extra = {name: kind for name, kind in (extra_topics or {}).items() if name not in standard}
+        kinds = {**standard, **self.extra}
         schemas = {topic: message_schema(kind) for topic, kind in kinds.items()}
         self._layouts = {topic: message_layout(schema) for topic, schema in schemas.items()}
         self._notice_store = typestore((schemas[topics.NOTICE],))
@@ -111,8 +131,10 @@ class EpisodeRecording:
         self._last_stamp_ns = 0
         self._notices: dict[int, _Notice] = {}
         self._steps: dict[int, CleanMessage] = {}
-        self._arrived: dict[tuple[str, int], CleanMessage] = {}
-        self._stampless: dict[str, CleanMessage] = {}
+        self._arrived: dict[tuple[str, int | None], tuple[int | None, CleanMessage]] = {}
+        """Topic and stamp to the source's time and the message; the stamp is None for types without one."""
+        self._stale_ns = -1
+        self._last_state: Cdr = b""
         self._extras: deque[tuple[str, CleanMessage]] = deque()
         self._due: deque[tuple[int, int, Callable[[], TickContent], list[tuple[str, CleanMessage]]]] = deque()
         self._flush_due = False
@@ -152,12 +174,16 @@ class EpisodeRecording:
         return topic in self.expected or topic in self.extra
 
     @_alone
-    def message(self, topic: str, cdr: bytes | memoryview) -> list[int]:
+    def message(self, topic: str, cdr: bytes | memoryview, source_ns: int | None = None) -> list[int]:
         """Add a message.
+
+        The sim publishes a tick's notice last. A message that it has published before the notice of another episode
+        belongs to that one and is dropped, even if its stamp is that of a tick of this episode.
 
         Args:
             topic: Its name in the bag.
             cdr: The serialised message.
+            source_ns: Time at which it was published [ns]; None: it is known to be of this episode.
 
         Returns:
             The ticks that this message completed; they need no further message. Acknowledge them, then call `flush`.
@@ -172,18 +198,25 @@ class EpisodeRecording:
             self._extras.append((topic, message))
             return []
         if "episode_id" in message and message.text("episode_id") != self.info.episode_id:
+            if topic == topics.NOTICE and source_ns is not None:
+                self._drop_until(source_ns)
             return []
         if topic == topics.NOTICE:
             self._take_notice(message)
         elif topic == topics.STEP:
             self._steps[message.uint32("seq")] = message
-        else:
-            stamp = message.stamp_ns()
-            if stamp is None:
-                self._stampless[topic] = message
-            else:
-                self._arrived[topic, stamp] = message
+        elif source_ns is None or source_ns > self._stale_ns:
+            self._arrived[topic, message.stamp_ns()] = source_ns, message
         return self._write_whole_ticks()
+
+    def _drop_until(self, source_ns: int) -> None:
+        """Drop the sim's messages up to the notice of another episode; those that arrive later are dropped as well."""
+        self._stale_ns = max(self._stale_ns, source_ns)
+        self._arrived = {
+            key: (sent_ns, message)
+            for key, (sent_ns, message) in self._arrived.items()
+            if sent_ns is None or sent_ns > self._stale_ns
+        }
 
     def _clean(self, topic: str, cdr: bytes | memoryview) -> CleanMessage:
         try:
@@ -269,7 +302,8 @@ class EpisodeRecording:
         ]
 
     def _found(self, topic: str, stamp_ns: int) -> CleanMessage | None:
-        return self._arrived.get((topic, stamp_ns)) or self._stampless.get(topic)
+        found = self._arrived.get((topic, stamp_ns)) or self._arrived.get((topic, None))
+        return None if found is None else found[1]
 
     def _is_image(self, topic: str, stamp_ns: int, crc32: int) -> bool:
         """Return whether an image belongs to the tick. If not, it is of an earlier scene and is dropped."""
@@ -316,7 +350,11 @@ class EpisodeRecording:
         others = {topic: message for topic, message in found.items() if message is not None}
         assert others.keys() == found.keys(), found  # `missing` has checked this
         self._write_tick(seq, stamp, notice.message, others, self._steps.pop(seq))
-        self._arrived = {key: value for key, value in self._arrived.items() if key[1] > stamp}
+        self._arrived = {
+            (topic, of_ns): value
+            for (topic, of_ns), value in self._arrived.items()
+            if (topic not in others if of_ns is None else of_ns > stamp)
+        }
 
     def _write_tick(
         self, seq: int, stamp_ns: int, notice: CleanMessage, others: Mapping[str, CleanMessage], step: CleanMessage
@@ -334,6 +372,8 @@ class EpisodeRecording:
         self._writer.write(topics.NOTICE, notice, stamp_ns)
         for topic, message in others:
             self._writer.write(topic, message, stamp_ns)
+            if topic == topics.STATE:
+                self._last_state = message
         self._writer.write(topics.STEP, step, stamp_ns)
 
     def _write_extras(self, extras: Iterable[tuple[str, CleanMessage]]) -> None:
@@ -355,7 +395,8 @@ class EpisodeRecording:
             The bag's path relative to the run's folder.
 
         Raises:
-            RecorderError: ``EPISODE_GAP`` naming the missing ticks and topics, ``DISK`` when it cannot be written.
+            RecorderError: ``EPISODE_GAP`` naming the missing ticks and topics, ``DISK`` when it cannot be written. Or
+                when the result is not that of the recorded episode.
         """
         if result.last_seq != self._next - 1:
             gap = self._name_gap(result.last_seq)
@@ -365,12 +406,24 @@ class EpisodeRecording:
             self._write_due()
             self.flush()
             self._raise_flush_error()
+            self._require_own(result)
             self._write_extras(self._extras)
             self._writer.write(topics.RESULT, self._clean(topics.RESULT, result_cdr).data, self._last_stamp_ns)
         except RecorderError:
             self.drop()
             raise
         return self._writer.close(keep, outcome_metadata(self.info, result, received))
+
+    def _require_own(self, result: EpisodeResult) -> None:
+        """Refuse the result of another episode."""
+        state_hash = (
+            self._layouts[topics.STATE].clean(bytes(self._last_state)).text("state_hash") if self._last_state else ""
+        )
+        for name, recorded in result_facts(self.info, self._next - 1, state_hash).items():
+            if (found := getattr(result, name)) != recorded:
+                raise RecorderError(
+                    f"'{self.info.episode_id}' is not kept: its result has {name} {found!r}, recorded was {recorded!r}"
+                )
 
     def _name_gap(self, last_seq: int) -> str:
         if last_seq < self._next:

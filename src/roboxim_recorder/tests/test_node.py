@@ -10,6 +10,7 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from roboxim_interfaces import msg as ours
 from roboxim_interfaces.srv import CloseEpisode, OpenEpisode
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError, RoboximError
@@ -30,6 +31,8 @@ from roboxim_ros.messages.schemas import message_schema
 from roboxim_ros.testing import PATIENCE_S, eventually, graph_host  # noqa: F401
 
 pytestmark = pytest.mark.ros
+VOLATILE = 10
+"""QoS by depth alone."""
 
 
 class FakeGraph:
@@ -276,11 +279,54 @@ def test_bad_requests_are_refused(graph, tmp_path, fake):
 
 
 def test_extra_topics_are_recorded(graph, tmp_path, fake):
-    episode = fake()
-    graph.publish("/note", String(data="before"))
-    eventually(lambda: "/w1/note" in dict(graph.recorder.get_topic_names_and_types()))
-    graph.open(episode, tmp_path, topics=["note"])
-    graph.publish("/note", String(data="within"))
-    graph.play(episode)
+    """A latched topic has a value from before the episode; a topic of another graph may have an equal name."""
+    outer = graph.node.create_publisher(String, "/note", VOLATILE)
+    inner = graph.node.create_publisher(String, "note", VOLATILE)
+    graph.publish("/map", String(data="in force"))
+    eventually(lambda: {"/note", "/w1/note", "/w1/map"} <= dict(graph.recorder.get_topic_names_and_types()).keys())
+    for index, (topic, publisher) in enumerate((("note", inner), ("/note", outer), ("/w1/note", inner))):
+        episode = fake(index=index)
+        publisher.publish(String(data="before"))
+        graph.open(episode, tmp_path, topics=[topic, "map"])
+        eventually(lambda publisher=publisher: publisher.get_subscription_count() == 1)
+        inner.publish(String(data="inner"))
+        outer.publish(String(data="outer"))
+        eventually(lambda: len(graph.recorder._recording._extras) == 2)
+        graph.play(episode)
+        reader = BagReader(tmp_path / graph.close(episode))
+        found = {topic: message.data for topic, _, message in reader.messages(["/note", "/map"])}
+        assert found == {"/note": "outer" if publisher is outer else "inner", "/map": "in force"}
+    for twice in (["note", "/note"], ["/clock"]):
+        graph.node.create_publisher(Clock, "/clock", 1)
+        eventually(lambda: "/clock" in dict(graph.recorder.get_topic_names_and_types()))
+        with pytest.raises(InvalidRequestError, match="in the bag it would have the name of /w1/"):
+            graph.open(fake(index=9), tmp_path, topics=twice)
+
+
+def test_messages_of_another_scene_are_not_taken_for_those_of_tick_0(graph, tmp_path, fake):
+    """Both have the stamp 0: the sim was stepped between the opening of the bag and the loading of its scene."""
+    episode = fake(steps=0, settle=0)
+    graph.open(episode, tmp_path)
+    stale = episode.tick(0)
+    stale["/joint_states"].position = [9.0]
+    stale["/sim/ticks"].episode_id = "other"
+    for topic in ("/joint_states", "/sim/ticks"):
+        graph.publish(topic, stale[topic])
+    graph.tick(episode, 0, without=("/joint_states",))
+    eventually(lambda: graph.recorder._recording.missing(0) == ["/joint_states"])
+    graph.publish("/joint_states", episode.tick(0)["/joint_states"])
+    assert graph.acknowledgement().error_code == ErrorCode.OK
     reader = BagReader(tmp_path / graph.close(episode))
-    assert [message.data for _, _, message in reader.messages(["/note"])] == ["within"]
+    assert [list(message.position) for _, _, message in reader.messages(["/joint_states"])] == [[0.0]]
+
+
+@pytest.mark.parametrize("field", ["instruction", "final_state_hash"])
+def test_a_result_that_contradicts_the_recording_is_refused(graph, tmp_path, fake, field):
+    episode = fake(steps=1, settle=0)
+    graph.open(episode, tmp_path)
+    graph.play(episode)
+    request = CloseEpisode.Request(result=to_msg(episode.result, ours.EpisodeResult), keep="keep")
+    setattr(request.result, field, "another")
+    with pytest.raises(RecorderError, match=f"its result has {field} 'another'"):
+        graph.clients.call(CloseEpisode, "recorder/close_episode", request)
+    assert list(tmp_path.rglob("*.mcap")) == []

@@ -14,6 +14,7 @@ from roboxim_core.state import StateRecord
 from roboxim_recorder import topics
 from roboxim_recorder.cdr import CleanMessage, MessageLayout
 from roboxim_recorder.decoding import Decoder
+from roboxim_recorder.recording import result_facts
 from roboxim_ros.messages.conversions import from_msg, stamp_to_ns
 
 T = TypeVar("T")
@@ -114,16 +115,8 @@ class TickCheck:
     @property
     def result_facts(self) -> dict[str, object]:
         """Fields of the episode's result that follow from the ticks, with their values."""
-        return {
-            "episode_id": self.info.episode_id,
-            "index": self.info.index,
-            "attempt": self.info.attempt,
-            "last_seq": self.ticks - 1,
-            "steps": self._steps,
-            "instruction": self.info.task.instruction,
-            "skill": self.info.task.skill,
-            "final_state_hash": self.state.state_hash if self.state else "",
-        }
+        facts = result_facts(self.info, self.ticks - 1, self.state.state_hash if self.state else "")
+        return facts | {"steps": self._steps}
 
     def result_problems(self, result: EpisodeResult) -> Iterator[str]:
         """Yield differences between the episode's result and its ticks."""
