@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +16,7 @@ from roboxim_core.errors import ConfigError, InvalidRequestError, RecorderError
 from roboxim_core.plain_data.documents import read_json
 from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import open_dataset
-from roboxim_policies.learning.checkpoint_file import require_no_bomb
+from roboxim_policies.learning.checkpoint_file import UNREADABLE, require_no_bomb
 from roboxim_ros.messages.conversions import from_msg
 
 STEP_TOPIC = "evaluator/step"
@@ -78,8 +77,8 @@ def _from_npz(source: Path) -> npt.ArrayLike:
             if "actions" not in names and len(names) != 1:
                 raise ConfigError(f"{source}: needs an array 'actions', has {', '.join(names) or 'none'}")
             return np.asarray(arrays["actions" if "actions" in names else names[0]])
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise ConfigError(f"{source} is not a readable .npz: {error}") from None
+    except UNREADABLE as error:
+        raise ConfigError(f"{source} is not a readable .npz: {error or type(error).__name__}") from None
 
 
 def _from_json(source: Path) -> npt.ArrayLike:

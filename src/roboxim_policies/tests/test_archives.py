@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import zipfile
 from pathlib import Path
 
@@ -45,6 +46,20 @@ def test_pickles_and_files_that_are_no_archive_are_refused(tmp_path: Path) -> No
     for name in ("objects.npz", "single.npz", "text.npz", "ragged.json", "one.json"):
         with pytest.raises(ConfigError, match=name):
             load_actions(tmp_path / name)
+
+
+def test_whatever_bytes_are_damaged_the_file_is_named(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for save in (np.savez, np.savez_compressed):
+        save(tmp_path / "whole.npz", actions=np.zeros((5, 7), np.float32), said=np.array('{"format": 6}'))
+        whole = np.frombuffer((tmp_path / "whole.npz").read_bytes(), np.uint8)
+        for _ in range(300):
+            damaged = whole[: rng.choice([len(whole), rng.integers(len(whole))])].copy()
+            damaged[rng.integers(len(damaged), size=2) if len(damaged) else []] = rng.integers(256)
+            (tmp_path / "damaged.npz").write_bytes(damaged.tobytes())
+            for read in (load_actions, read_description):
+                with contextlib.suppress(ConfigError):  # where nothing was damaged that is read
+                    read(tmp_path / "damaged.npz")
 
 
 def test_an_ordinary_archive_of_actions_is_read(tmp_path: Path) -> None:

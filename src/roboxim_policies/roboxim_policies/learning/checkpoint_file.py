@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,11 @@ network with a memory of the grasp; 4: a grasp begins with the command to close;
 identity of a training includes every label and picture."""
 ACTING = (5, FORMAT)
 """Formats whose policies act."""
-UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
-"""Exceptions that reading a damaged checkpoint raises."""
+UNREADABLE = (
+    OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""Exceptions that reading a damaged ``.npz`` raises; RuntimeError: its bytes say that it is encrypted, or compressed in
+another way."""
 
 
 MAX_UNPACKED = 256 * 2**20
@@ -77,7 +81,7 @@ def read_description(path: Path) -> dict[str, Any]:
         with np.load(file, allow_pickle=False) as archive:
             text = str(archive["said"])
     except UNREADABLE as error:
-        raise ConfigError(f"{file} is not a readable checkpoint: {error}") from None
+        raise ConfigError(f"{file} is not a readable checkpoint: {error or type(error).__name__}") from None
     description: Any = parse_json(text, source=f"the description in {file}")
     if not isinstance(description, dict):
         raise ConfigError(f"{file} is not a readable checkpoint: its description is a {type(description).__name__}")
