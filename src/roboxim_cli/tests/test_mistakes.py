@@ -14,6 +14,7 @@ from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_runs.datasets.export import unfinished
 from roboxim_runs.storage.folder import RunFolder
+from roboxim_runs.training.run import TrainingResult
 
 
 def mistake(*words) -> str:
@@ -247,3 +248,22 @@ def test_an_audit_of_a_benchmark_names_faults_and_ends_with_code_1(tmp_path):
     assert "no environment 'Nothing-v0'" in mistake("audit-benchmark", "Nothing-v0")
     assert CliRunner().invoke(group, ["audit-benchmark", "CartPole-v1", "--option", "size"]).exit_code == 2
     assert "--option size line 1: not valid YAML" in mistake("audit-benchmark", "CartPole-v1", "--option", "size=[")
+
+
+@pytest.mark.parametrize(
+    ("steps", "until", "words"),
+    [
+        (300, 30, "checkpoint.npz has 300 of 300 steps already; nothing to do"),
+        (30, 30, "has 30 of 300 steps already, as --until 30 asks; nothing to do"),
+        (120, None, "has 120 of 300 steps already, after which the held-out loss no longer fell; nothing to do"),
+    ],
+)
+def test_a_training_without_new_steps_says_how_far_it_is(monkeypatch, tmp_path, steps, until, words):
+    def trained(*_, **__):
+        file = tmp_path / "checkpoint.npz"
+        return TrainingResult(family="bc", checkpoint=file, steps=steps, chosen="", steps_now=0, wall_s=0.0)
+
+    monkeypatch.setattr("roboxim_runs.training.run.train_policy", trained)
+    more = ["--until", str(until)] if until else []
+    result = CliRunner().invoke(group, ["train", "bc", "data", "--steps", "300", *more])
+    assert words in result.output

@@ -119,7 +119,12 @@ def _train(
     if result.steps_now:
         click.echo(f"checkpoint after {result.steps} steps, {result.wall_s:.0f} s: {result.checkpoint}")
     else:
-        click.echo(f"{result.checkpoint} has all {result.steps} steps already; nothing to do")
+        reached = ""
+        if until and until <= result.steps < settings.steps:
+            reached = f", as --until {until} asks"
+        elif result.steps < settings.steps:
+            reached = ", after which the held-out loss no longer fell"
+        click.echo(f"{result.checkpoint} has {result.steps} of {settings.steps} steps already{reached}; nothing to do")
     if result.chosen:
         click.echo(f"the policy has the weights of {result.chosen}")
     click.echo(f"next: roboxim evaluate --policy {family} --checkpoint {out} --policy random")
