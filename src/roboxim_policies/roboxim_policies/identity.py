@@ -38,7 +38,8 @@ def policy_files(
         exclude: A folder to ignore, e.g. the folder of the results.
 
     Returns:
-        Path relative to the working directory to the content's hash, 32 hexadecimal digits; a folder has one hash.
+        Path relative to the working directory to the content's hash, 32 hexadecimal digits; a folder has one hash. Of a
+        trained policy's checkpoint its folder and name, which do not depend on the working directory.
 
     Raises:
         OSError: When a file cannot be read.
@@ -49,7 +50,10 @@ def policy_files(
     for value in options.values():
         if not isinstance(value, str | Path) or not str(value):
             continue
-        path = checkpoint_file(Path(value)) if spec in FAMILIES else Path(value)
+        if spec in FAMILIES and (file := checkpoint_file(Path(value)).resolve()).is_file():
+            found[f"{file.parent.name}/{file.name}"] = _hash_file(file)
+            continue
+        path = Path(value)
         if path.is_file():
             found[_shown(path)] = _hash_file(path)
         elif path.is_dir():

@@ -19,7 +19,7 @@ from roboxim_core.policies import Policy
 from roboxim_policies import POLICIES
 from roboxim_policies.base import find_policy, load_policy, require_arguments
 from roboxim_policies.identity import policy_files
-from roboxim_policies.learning.checkpoint_file import read_description
+from roboxim_policies.learning.checkpoint_file import checkpoint_file, read_description
 from roboxim_policies.learning.families import FAMILIES
 from roboxim_policies.remote import SERVERS_OWN, RemotePolicy
 from roboxim_policies.wires import REFUSED
@@ -162,9 +162,7 @@ def choose_policies(
         chosen[name] = replace(chosen[name], options=given)
     for name, path in _checkpoints(chosen, checkpoints).items():
         chosen[name] = replace(chosen[name], options={**chosen[name].options, CHECKPOINT: path})
-    for policy in chosen.values():
-        _require_valid(policy)
-    return list(chosen.values())
+    return [_checked(policy) for policy in chosen.values()]
 
 
 def find_policies(policies: Sequence[Any]) -> list[ChosenPolicy]:
@@ -177,10 +175,7 @@ def find_policies(policies: Sequence[Any]) -> list[ChosenPolicy]:
         ConfigError: When names are equal, a policy is unknown, or a policy does not take its options.
         PolicyError: When a policy's module raises, with the location.
     """
-    found = _by_name([_found(policy) for policy in policies])
-    for policy in found.values():
-        _require_valid(policy)
-    return list(found.values())
+    return [_checked(policy) for policy in _by_name([_found(policy) for policy in policies]).values()]
 
 
 def _found(policy: Any) -> ChosenPolicy:
@@ -305,6 +300,15 @@ def _checkpoints(chosen: dict[str, ChosenPolicy], words: Sequence[str]) -> dict[
         if CHECKPOINT in chosen[name].options:
             raise ConfigError(f"policy '{name}' has a checkpoint by --option and by --checkpoint; give one of them")
     return {name: str(Path(path).resolve()) for name, path in found.items()}
+
+
+def _checked(policy: ChosenPolicy) -> ChosenPolicy:
+    """Return a valid policy; a trained one with its checkpoint's file, the same however the path to it is written."""
+    _require_valid(policy)
+    if policy.acting.spec not in FAMILIES:
+        return policy
+    file = checkpoint_file(Path(policy.options[CHECKPOINT])).resolve()
+    return replace(policy, options={**policy.options, CHECKPOINT: str(file)})
 
 
 def _require_valid(policy: ChosenPolicy) -> None:

@@ -22,7 +22,7 @@ from roboxim_runs.evaluation import run as evaluation
 from roboxim_runs.evaluation.results import PolicyResult
 from roboxim_runs.evaluation.shown import _scenes
 from roboxim_runs.executors import Done
-from roboxim_runs.policies.specs import choose_policies
+from roboxim_runs.policies.specs import PolicySpec, choose_policies
 
 MINE = """
 from roboxim_policies import BasePolicy
@@ -113,6 +113,14 @@ def test_results_of_another_training_are_refused(folder):
     write_checkpoint(folder / "bc", robot="panda", step=4)
     with pytest.raises(ConfigError, match="bc/checkpoint.npz has changed"):
         evaluate("--policy", "bc", "--checkpoint", "bc")
+
+
+def test_a_checkpoint_is_the_same_however_its_path_is_written(folder, monkeypatch):
+    for path in ("bc", "bc/checkpoint.npz", folder / "bc", "../bc"):
+        policy = PolicySpec(spec="bc", options={"checkpoint": path})
+        evaluation.evaluate(evaluation.EvaluationConfig(policies=[policy], out=folder / "out", episodes=2, page=False))
+        monkeypatch.chdir(folder if path == "bc" else folder / "odd")
+    assert [asked for _, asked in Pool.asked] == [[0, 1]], "the others were done already"
 
 
 def test_a_folder_of_an_older_version_is_refused_only_for_policies_with_files(folder):
@@ -215,10 +223,10 @@ def test_options_and_checkpoints_reach_the_policy_that_they_are_for(folder):
         ["a=random", "bc", "mine.py:Mine"], ["bc", "Mine=mine.py"], ["scale=0.1", "Mine.gain=2", "bc.execute=2"]
     )
     assert first.options == {"scale": 0.1}
-    assert bc.options == {"execute": 2, "checkpoint": str(folder / "bc")}
+    assert bc.options == {"execute": 2, "checkpoint": str(folder / "bc" / "checkpoint.npz")}
     assert second.options == {"gain": 2, "checkpoint": str(folder / "mine.py")}
     both = choose_policies(["a=bc", "b=bc"], ["bc"], ["b.execute=2"])
-    assert [policy.options["checkpoint"] for policy in both] == [str(folder / "bc")] * 2
+    assert [policy.options["checkpoint"] for policy in both] == [str(folder / "bc" / "checkpoint.npz")] * 2
     assert choose_policies(["expert"])[0].launch is None
 
 
