@@ -78,7 +78,7 @@ def _from_npz(source: Path) -> npt.ArrayLike:
                 raise ConfigError(f"{source}: needs an array 'actions', has {', '.join(names) or 'none'}")
             return np.asarray(arrays["actions" if "actions" in names else names[0]])
     except UNREADABLE as error:
-        raise ConfigError(f"{source} is not a readable .npz: {error or type(error).__name__}") from None
+        raise ConfigError(f"{source} is not a readable .npz: {str(error) or type(error).__name__}") from None
 
 
 def _from_json(source: Path) -> npt.ArrayLike:

@@ -306,7 +306,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         with np.load(file, allow_pickle=False) as archive:
             arrays = [archive[name] for name in sorted(archive.files) if name.startswith("array_")]
     except UNREADABLE as error:
-        raise ConfigError(f"{file} is not a readable checkpoint: {error or type(error).__name__}") from None
+        raise ConfigError(f"{file} is not a readable checkpoint: {str(error) or type(error).__name__}") from None
     if not arrays:
         raise ConfigError(f"{file} is not a readable checkpoint: it has no weights")
     known = {field.name for field in fields(_Description)}  # others, e.g. of the pictures' viewpoints, have own readers

@@ -81,7 +81,7 @@ def read_description(path: Path) -> dict[str, Any]:
         with np.load(file, allow_pickle=False) as archive:
             text = str(archive["said"])
     except UNREADABLE as error:
-        raise ConfigError(f"{file} is not a readable checkpoint: {error or type(error).__name__}") from None
+        raise ConfigError(f"{file} is not a readable checkpoint: {str(error) or type(error).__name__}") from None
     description: Any = parse_json(text, source=f"the description in {file}")
     if not isinstance(description, dict):
         raise ConfigError(f"{file} is not a readable checkpoint: its description is a {type(description).__name__}")
