@@ -1,6 +1,7 @@
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
@@ -15,6 +16,7 @@ from roboxim_studio.opening import Kind, recognise
 from roboxim_studio.panels import markup
 from roboxim_studio.serving.access import Access
 from roboxim_studio.serving.site import Site
+from roboxim_tasks.sequences.steps import task_of
 
 
 def test_every_tick_shows_the_bags_state_and_verdict(studio, bag):
@@ -79,6 +81,19 @@ def test_judging_again_changes_the_verdict_and_refuses_wrong_thresholds(studio, 
     assert thresholds(film.info.task) == thresholds(film.info.task) | {"lift_m": 0.05}
     with pytest.raises(ConfigError, match="no threshold 'lift'.*lift_m"):
         with_thresholds(film.info.task, {"lift": 1.0})
+
+
+def test_an_episode_of_several_steps_is_shown_and_judged(studio, bag):
+    film = read_film(bag)
+    steps = task_of([film.info.task, film.info.task], "Pick up the cube, then pick up the cube")
+    film = replace(film, info=replace(film.info, task=steps))
+    studio.watch(film)
+    assert studio.episode.film is film
+    studio.episode.show(5)
+    assert "5 of" in studio.episode._state.content
+    assert thresholds(steps) == {}
+    studio.episode.judge_again({})
+    assert "with these thresholds: " in studio.episode._judged.content
 
 
 def test_lamps_say_measure_bound_and_whether_it_holds(bag):

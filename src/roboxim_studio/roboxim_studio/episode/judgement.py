@@ -12,7 +12,7 @@ from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
 from roboxim_tasks.judging import Judge
 from roboxim_tasks.measures import Condition
-from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.sequences import skill_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +87,12 @@ def judge(task: TaskSpec, states: tuple[StateRecord, ...]) -> Judgement:
 
 
 def thresholds(task: TaskSpec) -> dict[str, float]:
-    """Return the numbers that a task's judge depends on, with their values."""
-    defaults = SKILLS[task.skill].Parameters()
+    """Return the numbers that a task's judge depends on, with their values; a task of several steps has none.
+
+    Raises:
+        TaskError: With code ``UNKNOWN_SKILL`` when the task's skill is not registered.
+    """
+    defaults = skill_of(task).Parameters()
     values = {item.name: task.arguments.get(item.name, getattr(defaults, item.name)) for item in fields(defaults)}
     return {name: float(value) for name, value in values.items() if isinstance(value, float)}
 

@@ -66,18 +66,19 @@ class EpisodePanel:
             self._hidden = False
             self.folder.visible = True
             self._view.load(film.info.scene)
-            self.film, self.judgement, self.tick = film, judgement, 0
+            self.film = None  # nothing is shown until every input of the new episode is there
             for handle in self._fresh:
                 handle.remove()
             self._fresh = []
             with self.folder:
-                self._build(film)
+                self._build(film, judgement)
+            self.film, self.judgement, self.tick = film, judgement, 0
             for listener in self.on_opened:
                 listener(film)
             self.show(0)
         self._site.send(hint=HINT, alert="")
 
-    def _build(self, film: Film) -> None:
+    def _build(self, film: Film, judgement: Judgement) -> None:
         gui, info = self._gui, film.info
         add = self._fresh.append
         add(
@@ -99,7 +100,8 @@ class EpisodePanel:
         self._speed = gui.add_dropdown("Speed", SPEEDS, initial_value="1x")
         for handle in (self._slider, buttons, self._speed):
             add(handle)
-        self._jump = gui.add_dropdown("Jump to", self._jumps(film), initial_value=self._jumps(film)[0])
+        jumps = _jumps(film, judgement)
+        self._jump = gui.add_dropdown("Jump to", jumps, initial_value=jumps[0])
         self._jump.on_update(lambda event: self._jump_to(str(event.target.value)) if event.client else None)
         add(self._jump)
         self._state = gui.add_html("")
@@ -111,10 +113,6 @@ class EpisodePanel:
         add(self._pictures)
         self._build_judging(film)
         add(self._build_plots(film))
-
-    def _jumps(self, film: Film) -> tuple[str, ...]:
-        verdicts = self.judgement.verdicts if self.judgement else None
-        return tuple(dict.fromkeys(f"{mark.seq}: {mark.name}" for mark in marks(film, verdicts)))
 
     def _build_judging(self, film: Film) -> None:
         folder = self._gui.add_folder("Judge again", expand_by_default=False)
@@ -194,7 +192,7 @@ class EpisodePanel:
                 f"{other} of {len(recorded)} ticks are judged differently",
                 "judged-again",
             )
-            self._jump.options = self._jumps(film)
+            self._jump.options = _jumps(film, self.judgement)
             self.show(self.tick)
 
     def close(self) -> None:
@@ -270,6 +268,10 @@ class EpisodePanel:
                 return
             if film.pictures.at(self.tick).keys() - self._shown_pictures[1]:
                 self.show(self.tick)
+
+
+def _jumps(film: Film, judgement: Judgement) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(f"{mark.seq}: {mark.name}" for mark in marks(film, judgement.verdicts)))
 
 
 def _phase(film: Film, seq: int) -> str:
