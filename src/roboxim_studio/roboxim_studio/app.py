@@ -10,7 +10,7 @@ from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.bench import Bench
-from roboxim_studio.editing.document import from_episode
+from roboxim_studio.editing.document import from_info
 from roboxim_studio.episode.film import Film, read_film
 from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.opening import Kind, Opened
@@ -212,11 +212,16 @@ class Studio:
         return self.compose.open(task)
 
     def edit_episode(self) -> None:
-        """Edit the scene of the episode that is shown."""
+        """Edit the scene of the episode that is shown; why that is not possible is shown in the page."""
         film = self.episode.film
-        if film is not None:
+        if film is None:
+            return
+        try:
+            document = from_info(film.info)
             self.show(SCENE)
-            self.editor.open(from_episode(film.info.task, film.info.scene))
+            self.editor.open(document)
+        except RoboximError as error:
+            self.site.send(alert=str(error))
 
     # ---------------------------------------------------------------- modes
 
@@ -252,6 +257,7 @@ class Studio:
             self.drive.prefer_edits()
         if mode == SCENE:
             self.editor.show()
+            self.compose.show_again()
         elif mode == EPISODE:
             self.episode.show_again()
             if self.dataset.dataset is not None:

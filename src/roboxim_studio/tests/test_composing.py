@@ -1,20 +1,26 @@
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_core.config import digest
-from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_core.episode import Draw, EpisodeResult, EpisodeRunner, RunConfig
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_recorder.bag import BagReader
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_studio.browser import wait_for
 from roboxim_studio.editing import composition as edits
+from roboxim_studio.editing.document import with_instruction
+from roboxim_studio.episode.film import read_film
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.config import load_task_config, parse_task_config
+from roboxim_tasks.sequences.steps import task_of
 
 LIBRARY = ModelLibrary()
+FILM = SimpleNamespace(result=EpisodeResult(episode_id="", index=0))
 
 
 @pytest.fixture
@@ -70,6 +76,51 @@ def test_tasks_of_several_skills_are_drawn_but_not_composed(studio, task):
     assert studio.compose.form.made is None
     assert "not composed" in studio.compose.form._problem.content
     assert studio.compose.text == task_text(task)
+
+
+@pytest.fixture
+def solved(studio, monkeypatch):
+    """The draws that the expert was to play."""
+    found = []
+    monkeypatch.setattr("roboxim_studio.panels.compose.take", lambda graph, draw, *_, **__: found.append(draw) or FILM)
+    monkeypatch.setattr(studio.compose, "_watch", lambda film: None)
+    return found
+
+
+def test_the_expert_plays_what_was_drawn_until_it_is_edited(studio, bag, monkeypatch, solved):
+    compose, film = studio.compose, read_film(bag)
+    draws = [Draw(task=film.info.task, scene=film.info.scene, max_steps=9, config_json=json.dumps({"max_steps": 9}))]
+    asked = []
+    monkeypatch.setattr(studio.lab, "draw", lambda text, seed: asked.append(text) or draws[-1])
+    studio.show("Scene")
+    compose.draw().result(timeout=60)
+    compose.solve().result(timeout=60)
+    assert (solved, len(asked)) == (draws, 1)
+    studio.editor.edit(lambda document: with_instruction(document, "Lift the cube"))
+    compose.solve().result(timeout=60)
+    assert "Lift the cube" in asked[1]
+    assert "max_steps: 9" in asked[1]
+
+
+def test_a_drawn_task_of_several_steps_is_shown_and_solved_but_not_edited(studio, bag, monkeypatch, solved):
+    compose, film = studio.compose, read_film(bag)
+    studio.watch(film)
+    studio.edit_episode()
+    assert studio.editor.desk is not None
+    task = task_of([film.info.task, film.info.task], "Pick up the cube, then pick up the cube")
+    scene = replace(film.info.scene, control_rate_hz=20.0)
+    draw = Draw(task=task, scene=scene, max_steps=9)
+    monkeypatch.setattr(studio.lab, "draw", lambda text, seed: draw)
+    assert compose.draw().result(timeout=60) is draw
+    assert studio.view.scene == scene
+    assert (studio.editor.desk, studio.editor.folder.visible) == (None, False)
+    assert "cannot be edited" in compose._message.content
+    compose.solve().result(timeout=60)
+    assert solved == [draw]
+    studio.watch(replace(film, info=replace(film.info, task=task)))
+    studio.edit_episode()
+    assert studio.mode == "Episode"
+    assert "several steps" in studio.site._latest["alert"]
 
 
 def test_a_refused_edit_is_named_in_the_page_and_changes_nothing(studio, tmp_path):

@@ -4,6 +4,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+import yaml
 
 from roboxim_core.config import digest
 from roboxim_core.errors import ConfigError
@@ -11,10 +12,12 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec, TaskSpec
+from roboxim_runs.episodes.task_choice import task_text
 from roboxim_studio.browser import wait_for
 from roboxim_studio.editing import document as edits
 from roboxim_studio.episode.film import read_film
-from roboxim_tasks.config import parse_task_config
+from roboxim_tasks.config import parse_task_config, task_config
+from roboxim_tasks.sampling.episodes import EpisodeGenerator
 from roboxim_tasks.skills import SKILLS
 
 LIBRARY = ModelLibrary()
@@ -23,7 +26,7 @@ LIBRARY = ModelLibrary()
 @pytest.fixture
 def document(bag):
     film = read_film(bag)
-    return edits.from_episode(film.info.task, film.info.scene)
+    return edits.from_info(film.info)
 
 
 @pytest.fixture
@@ -40,10 +43,25 @@ def test_a_document_has_the_conditions_of_its_episode():
         skill="rotate", objects={"target": thing}, instruction="Rotate the soda can",
         arguments={**asdict(SKILLS["rotate"].Parameters()), "target_upright": True},
     )  # fmt: skip
-    document = edits.from_episode(task, SceneSpec(entities=(can,)))
+    document = edits.from_episode(task, SceneSpec(entities=(can,)), {})
     assert edits.checked(document, LIBRARY).task("demo", LIBRARY) == task
     with pytest.raises(ConfigError, match="several steps"):
-        edits.from_episode(replace(task, skill="rotate+pick_up"), SceneSpec(entities=(can,)))
+        edits.from_episode(replace(task, skill="rotate+pick_up"), SceneSpec(entities=(can,)), {})
+
+
+@pytest.mark.parametrize("purpose", ["demo", "eval"])
+def test_a_drawn_scene_keeps_what_its_task_demands(purpose):
+    limits = {"path_m": 0.5, "fail": True, "keep_out": [{"lower": [0, 0, 0.6], "upper": [1, 1, 1]}]}
+    more = {"max_steps": 77, "limits": limits, "visible": {"pixels": 7}, "robot": "fr3"}
+    config = task_config(yaml.safe_load(task_text("rotate")) | more)
+    generator = EpisodeGenerator(LIBRARY)
+    draw = generator.draw(SeedPath(run_seed=1, purpose=purpose, index=1), config)
+    document = edits.from_draw(draw)
+    assert parse_task_config(edits.as_yaml(document)) == (again := edits.checked(document, LIBRARY))
+    assert again.task(purpose, LIBRARY) == replace(draw.task, drawn={})
+    tolerances = [again.task(one, LIBRARY).arguments["tolerance_deg"] for one in ("demo", "eval")]
+    assert tolerances == [5.0, 10.0]
+    assert (again.max_steps, again.visible, again.limits) == (77, config.visible, config.limits)
 
 
 @pytest.mark.thorough

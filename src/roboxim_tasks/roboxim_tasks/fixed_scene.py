@@ -17,6 +17,7 @@ from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import PhysicalObject, SceneSpec, TaskSpec
 from roboxim_tasks.checks import Document
+from roboxim_tasks.limits import LimitsConfig
 from roboxim_tasks.roles import DISTRACTOR, STAY
 from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.skills import SKILLS
@@ -54,6 +55,8 @@ class FixedTask:
     """Parameters with other values for the evaluation of policies (purpose ``eval``)."""
     visible: VisibleConfig = VisibleConfig()
     """Required visibility of the objects that the instruction names."""
+    limits: LimitsConfig | None = None
+    """Measures beside success, and their limits; none: they are not recorded, ``{}``: recorded without limits."""
     max_steps: int = 0
     """Actions after which an episode has failed; 0: the skill's number, scaled to the same duration."""
 
@@ -86,7 +89,8 @@ class FixedTaskConfig(TaskConfig):
             seed=SeedPath(run_seed=0, purpose=purpose, index=0), config=self, library=library, roles=skill.roles,
             mismatch=skill.mismatch, given={role: objects[role] for role in skill.roles}, text=skill.templates[0],
         )  # fmt: skip
-        arguments = skill.generate(context).arguments | ({STAY: self.fixed.stay_m} if self.fixed.stay_m else {})
+        stay = {STAY: self.fixed.stay_m} if self.fixed.stay_m else {}
+        arguments = skill.generate(context).arguments | stay | self.limit_arguments()
         return TaskSpec(skill=self.skill, objects=objects, arguments=arguments, instruction=self.fixed.instruction)
 
 
@@ -118,8 +122,8 @@ def fixed_task_config(data: Mapping[str, Any], *, source: str, library: ModelLib
             raise document.error((FIXED, "roles"), problem)
     rate_hz = fixed.scene.control_rate_hz
     return FixedTaskConfig(
-        skill=file.skill, parameters=parameters, lenient=lenient, visible=file.visible, rate_hz=rate_hz, fixed=fixed,
-        max_steps=file.max_steps or ticks(skill.max_steps / DEFAULT_RATE_HZ, rate_hz),
+        skill=file.skill, parameters=parameters, lenient=lenient, visible=file.visible, limits=file.limits,
+        rate_hz=rate_hz, fixed=fixed, max_steps=file.max_steps or ticks(skill.max_steps / DEFAULT_RATE_HZ, rate_hz),
     )  # fmt: skip
 
 

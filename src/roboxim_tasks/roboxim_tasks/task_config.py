@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
+from roboxim_core.config import to_json
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.rates import DEFAULT_RATE_HZ
@@ -12,6 +13,7 @@ from roboxim_core.specs import Scalar, SceneSpec
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.files import named
 from roboxim_tasks.limits import LimitsConfig
+from roboxim_tasks.roles import LIMITS
 
 MAX_DISTRACTORS = 8
 
@@ -180,6 +182,13 @@ class TaskConfig:
     def drawn(self, index: int) -> dict[str, str]:
         """Return the names that an episode's task records besides its draws: none, which only mixes have."""
         return {}
+
+    def limit_arguments(self) -> dict[str, Scalar]:
+        """Return the argument of a task that states its limits; none without limits."""
+        if self.limits is None:
+            return {}
+        robot = self.base_scene().robot.model if self.limits.keep_out else self.limits.robot
+        return {LIMITS: to_json(replace(self.limits, robot=robot))}
 
 
 def with_members(config: TaskConfig, library: ModelLibrary) -> TaskConfig:

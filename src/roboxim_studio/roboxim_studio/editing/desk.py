@@ -111,11 +111,7 @@ class Desk:
         model = scene.robot.model
         if model not in self._arms:
             self._arms[model] = ArmKinematics(self._library.robot(model))
-        arm = self._arms[model]
-        if not scene.robot.joint_positions:
-            home = tuple(float(value) for value in arm.model.home)
-            scene = replace(scene, robot=replace(scene.robot, joint_positions=home))
-        return state_at_rest(scene, arm)
+        return start_of(scene, self._arms[model])
 
     def arm(self) -> ArmKinematics:
         """Return the kinematics of the document's robot."""
@@ -232,6 +228,19 @@ class Desk:
         if document == self.history.now:
             for listener in self.on_pictures:
                 listener(pictures)
+
+
+def start_of(scene: SceneSpec, arm: ArmKinematics) -> StateRecord:
+    """Return the start of a scene, as if nothing moved while it settles.
+
+    Args:
+        scene: The scene; a robot without a start is at its home.
+        arm: Kinematics of its robot.
+    """
+    if not scene.robot.joint_positions:
+        home = tuple(float(value) for value in arm.model.home)
+        scene = replace(scene, robot=replace(scene.robot, joint_positions=home))
+    return state_at_rest(scene, arm)
 
 
 def file_to_save(folder: Path, name: str) -> Path:

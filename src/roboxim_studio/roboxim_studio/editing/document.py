@@ -13,16 +13,20 @@ from typing import Any
 
 import yaml
 
-from roboxim_core.config import digest, to_plain
-from roboxim_core.episode import Draw
+from roboxim_core.config import digest, from_plain, to_plain
+from roboxim_core.episode import Draw, EpisodeInfo
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.plain_data.documents import parse_json
 from roboxim_core.poses import Pose
+from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
 from roboxim_core.specs import CameraSpec, EntitySpec, LightSpec, LookSpec, RobotSpec, Scalar, SceneSpec, TaskSpec
 from roboxim_tasks.fixed_scene import FixedScene, FixedTask, FixedTaskConfig, fixed_task_config
+from roboxim_tasks.limits import limits_of
 from roboxim_tasks.roles import DISTRACTOR, GENERAL, STAY
 from roboxim_tasks.sequences import is_sequence
 from roboxim_tasks.skills import SKILLS
+from roboxim_tasks.task_config import VisibleConfig
 
 MAX_STEPS = 200
 """Largest number of edits that can be undone."""
@@ -31,25 +35,50 @@ DEFAULT_DIGITS = 6
 
 
 def from_draw(draw: Draw) -> FixedTask:
-    """Return a drawn or recorded episode's task and scene as a document."""
-    return from_episode(draw.task, draw.scene)
+    """Return a drawn episode's task and scene as a document; arguments and exceptions of `from_episode`."""
+    return from_episode(draw.task, draw.scene, parse_json(draw.config_json, source="the task's configuration"))
 
 
-def from_episode(task: TaskSpec, scene: SceneSpec) -> FixedTask:
+def from_info(info: EpisodeInfo) -> FixedTask:
+    """Return a recorded episode's task and scene as a document; exceptions of `from_episode`."""
+    recorded = parse_json(info.config_json, source=f"the configuration of {info.episode_id}")
+    return from_episode(info.task, info.scene, recorded.get("task") or {})
+
+
+def from_episode(task: TaskSpec, scene: SceneSpec, config: Mapping[str, Any]) -> FixedTask:
     """Return a task and its scene as a document.
 
+    Args:
+        task: The task; its limits, and its arguments where the configuration does not say more, are the document's.
+        scene: The scene.
+        config: Plain data of the resolved configuration that the task was drawn from: what holds for the other purpose
+            too, the required visibility and the step limit; empty: not known.
+
     Raises:
-        ConfigError: When the task has several steps.
+        ConfigError: When the task has several steps, or the configuration is not valid.
     """
     if is_sequence(task.skill):
         raise ConfigError(f"'{task.instruction}' has several steps; only a task of one skill has a given scene")
+    skill = SKILLS[task.skill]
+    defaults = skill.Parameters()
+    demanded, eased, drawn = (config.get(key) or {} for key in ("parameters", "lenient", "arguments"))
     own = {name: value for name, value in task.arguments.items() if name not in GENERAL}
-    defaults = SKILLS[task.skill].Parameters()
+    own |= {name: value for name, value in demanded.items() if name in own and name not in drawn}
     changed = {name: value for name, value in own.items() if value != getattr(defaults, name)}
+    lenient = {n: v for n, v in eased.items() if n in own and n not in drawn and v != own[n]}
     roles = {role: thing.entity for role, thing in task.objects.items()}
-    stay_m = float(task.arguments.get(STAY, 0.0))
-    fixed = FixedScene(instruction=task.instruction, roles=roles, scene=scene, stay_m=stay_m)
-    return FixedTask(skill=task.skill, fixed=fixed, parameters=changed or None)
+    limits, max_steps = limits_of(task), int(config.get("max_steps", 0))
+    return FixedTask(
+        skill=task.skill,
+        fixed=FixedScene(
+            instruction=task.instruction, roles=roles, scene=scene, stay_m=float(task.arguments.get(STAY, 0.0))
+        ),
+        parameters=changed or None,
+        lenient=lenient or None,
+        visible=from_plain(config.get("visible") or {}, VisibleConfig, source="the task's configuration"),
+        limits=None if limits is None else replace(limits, robot=""),
+        max_steps=0 if max_steps == ticks(skill.max_steps / DEFAULT_RATE_HZ, scene.control_rate_hz) else max_steps,
+    )
 
 
 def as_yaml(document: FixedTask) -> str:

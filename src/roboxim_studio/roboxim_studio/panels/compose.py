@@ -12,13 +12,14 @@ from roboxim_core.config import digest, named_config
 from roboxim_core.config_folders import config_names
 from roboxim_core.episode import Draw
 from roboxim_core.errors import ConfigError, RoboximError, one_of
+from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.seeds import PURPOSES, SeedPath
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.acting.take import take
 from roboxim_studio.acting.what_if import EXPERT
 from roboxim_studio.bench import Bench
-from roboxim_studio.editing.desk import file_to_save
+from roboxim_studio.editing.desk import Desk, file_to_save, start_of
 from roboxim_studio.editing.document import as_yaml, from_draw
 from roboxim_studio.episode.film import Film, ending
 from roboxim_studio.look.scene_view import SceneView
@@ -29,6 +30,7 @@ from roboxim_studio.panels.editor_forms import by_person
 from roboxim_studio.panels.task_form import TaskForm
 from roboxim_studio.serving.site import Site
 from roboxim_tasks.components import ResetContext
+from roboxim_tasks.sequences import is_sequence
 
 COUNTED = 20
 """Scenes that are drawn to count refusals."""
@@ -57,6 +59,9 @@ class ComposePanel:
         self._cancel, self._saves, self._own = threading.Event(), folder, OwnFiles()
         self.drawn: Draw | None = None
         """The newest draw."""
+        self._drawn_seed = SeedPath(run_seed=0, purpose="demo", index=0)
+        self._desk: Desk | None = None
+        """Where the newest draw is edited; none: it cannot be edited."""
         self.driven: Callable[[], bool] = lambda: False
         """Returns whether a person drives an episode: the view and the simulator are then its own."""
         gui = self._gui
@@ -124,11 +129,10 @@ class ComposePanel:
         except (RoboximError, OSError) as error:
             self._show_message(str(error), alert=True)
             return None
-        self._show_message(
-            f"saved as {file.name}; the same scenes:\n"
-            f"roboxim generate --task {file.name} --seed {self.seed.run_seed}\n"
-            f"roboxim tasks sample --task {file.name} --seed {self.seed.run_seed} --purpose {self.seed.purpose}"
-        )
+        named, purpose = f"--task {file.name} --seed {self.seed.run_seed}", self.seed.purpose
+        lines = [f"roboxim generate {named}"] if purpose == "demo" else []
+        lines.append(f"roboxim tasks sample {named} --purpose {purpose}")
+        self._show_message("\n".join([f"saved as {file.name}; the same scenes:", *lines]))
         return file
 
     @property
@@ -157,14 +161,18 @@ class ComposePanel:
         return self._bench.do(lambda: self._draw(seed))
 
     def solve(self) -> Any:
-        """Let the expert play the edited scene, or the drawn one; returns the future episode."""
-        desk = self._editor.desk
-        if desk is None:
+        """Let the expert play the drawn task, or the edited scene; returns the future episode."""
+        desk, drawn = self._editor.desk, self.drawn
+        if drawn is not None and desk is self._desk and not (desk is not None and desk.history.edited):
+            seed = self._drawn_seed
+            found: Draw | str = drawn
+        elif desk is not None:
+            seed, found = self.seed, as_yaml(desk.document)
+        else:
             return None
-        text, seed = as_yaml(desk.document), self.seed
         self._cancel.clear()
         self._show_message("planning ...")
-        return self._bench.do(lambda: self._solve(text, seed))
+        return self._bench.do(lambda: self._solve(found, seed))
 
     def count(self) -> Any:
         """Count what refuses draws of the chosen task; returns the future counts by constraint."""
@@ -178,18 +186,32 @@ class ComposePanel:
     def _draw(self, seed: SeedPath) -> Draw | None:
         try:
             self._require_free()
-            self.drawn = self._lab.draw(self.text, seed)
+            drawn = self._lab.draw(self.text, seed)
+            edited = None if is_sequence(drawn.task.skill) else from_draw(drawn)
         except RoboximError as error:
             self._show_message(str(error), alert=True)
             return None
         reset = self._lab.graph.tasks.generator.last_reset
         refused = _causes(reset) if reset else Counter()
         self._show_message(
-            f"{self.drawn.task.instruction}\nindex {seed.index}, scene {digest(self.drawn.scene)}, "
+            f"{drawn.task.instruction}\nindex {seed.index}, scene {digest(drawn.scene)}, "
             f"{sum(refused.values())} draws refused{': ' + _listed(refused) if refused else ''}"
+            + ("" if edited else "\nThe scene of a task of several steps cannot be edited.")
         )
-        self._editor.open(from_draw(self.drawn))
-        return self.drawn
+        if edited is not None:
+            self._editor.open(edited)
+        else:
+            self._editor.close()
+        self.drawn, self._drawn_seed, self._desk = drawn, seed, self._editor.desk
+        self.show_again()
+        return drawn
+
+    def show_again(self) -> None:
+        """Show the start of the newest draw, if nothing is edited: then it is one that cannot be edited."""
+        if self.drawn is not None and self._editor.desk is None:
+            scene = self.drawn.scene
+            self._view.load(scene)
+            self._view.show(start_of(scene, ArmKinematics(self._editor.library.robot(scene.robot.model))))
 
     def _require_free(self) -> None:
         """Refuse to take the view and the simulator from an episode that a person drives; on the bench.
@@ -200,7 +222,8 @@ class ComposePanel:
         if self.driven():
             raise ConfigError("an episode is being driven; end it, or throw it away, before another scene is shown")
 
-    def _solve(self, text: str, seed: SeedPath) -> Film | None:
+    def _solve(self, found: Draw | str, seed: SeedPath) -> Film | None:
+        """Play a draw, or the task of a YAML text; on the bench."""
         try:
             self._require_free()
         except RoboximError as error:
@@ -208,7 +231,7 @@ class ComposePanel:
             return None
         self._editor.hide()
         try:
-            draw = self._lab.draw(text, seed)
+            draw = self._lab.draw(found, seed) if isinstance(found, str) else found
             self._view.load(draw.scene)
 
             def show(state: Any, step: Any) -> None:
@@ -223,6 +246,7 @@ class ComposePanel:
         except RoboximError as error:
             self._show_message(str(error), alert=True)
             self._editor.show()
+            self.show_again()
             return None
         self._show_message(f"the expert: {ending(film)} after {film.result.steps} actions")
         self._watch(film)

@@ -92,6 +92,16 @@ class EditorPanel:
             self.desk.refresh()
         self._site.send(hint=HINT, alert="")
 
+    def close(self) -> None:
+        """Edit nothing: the scene that the view is to show cannot be edited."""
+        with self._lock:
+            self.hide()
+            self.desk = None
+            for handle in self._fresh:
+                handle.remove()
+            self._fresh, self._images = [], {}
+            self.folder.visible = False
+
     def hide(self) -> None:
         """Leave the view to another panel; the document stays."""
         self.active = False

@@ -20,7 +20,7 @@ from roboxim_tasks.demonstration.solvable import CONSTRAINT, Solvability
 from roboxim_tasks.demonstration.solver import Solution
 from roboxim_tasks.fixed_scene import FixedTaskConfig
 from roboxim_tasks.reach import START_CLEARANCE_M
-from roboxim_tasks.roles import LIMITS, Wording, description
+from roboxim_tasks.roles import Wording, description
 from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.sampling.rejection import RejectedError
 from roboxim_tasks.sampling.scene_check import Finding, quick_findings, slow_findings
@@ -90,11 +90,7 @@ class EpisodeGenerator:
             ordinal=ordinal,
         )
         task = skill.generate(context)
-        if cell.limits is not None:
-            limits = cell.limits
-            if limits.keep_out:
-                limits = replace(limits, robot=cell.base_scene().robot.model)
-            task = replace(task, arguments=task.arguments | {LIMITS: to_json(limits)})
+        task = replace(task, arguments=task.arguments | cell.limit_arguments())
         return replace(task, drawn=drawn | context.drawn(task))
 
     def sample(self, seed: SeedPath, config: TaskConfig | TaskMix) -> TaskSpec:
