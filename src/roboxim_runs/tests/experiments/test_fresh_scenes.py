@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 from click.testing import CliRunner
-from planted_cards import shipped
+from planted_cards import planted_card, shipped
 
 from roboxim_cli.main import group
 from roboxim_core.errors import ConfigError
@@ -17,7 +17,7 @@ from roboxim_runs.experiments.benchmark import BenchmarkRunConfig, run_benchmark
 from roboxim_runs.experiments.report import ExperimentFolder, card_page, reproduction
 from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment
 from roboxim_runs.experiments.scenes.again import _linked, attested_seed
-from roboxim_runs.experiments.scenes.fresh import in_scenes_of
+from roboxim_runs.experiments.scenes.fresh import COMMITTED, card_part, drawn_seed, in_scenes_of
 
 
 @pytest.fixture
@@ -52,6 +52,13 @@ def test_public_scenes_keep_their_seeds_and_fresh_ones_have_one_seed_for_all_cal
     again = run_experiment(config(out=tmp_path / "c", scene_seed=seed)).card
     assert seeds_of(again) == seeds_of(fresh)
     assert committed_text(again) == f"seed {seed}, which the run was given"
+
+
+def test_trainings_that_the_card_has_no_longer_do_not_count_as_finished_before(tmp_path):
+    seed, card = drawn_seed(tmp_path), planted_card(shipped(replicates=1), lambda *_: 0.5)
+    assert {f"{one.condition}.{one.replicate}" for one in card.trainings} == {"leave_out.0", "baseline.0"}
+    products = {"train/leave_out.0": {COMMITTED: seed.commitment}, "train/baseline.0": {}, "train/baseline.1": {}}
+    assert card_part(tmp_path, products, card).trained_before == 1
 
 
 def test_a_commitment_precedes_the_trainings_and_is_checked(fakes, config, tmp_path):
