@@ -312,7 +312,7 @@ class MaterialSpec:
     """Metallic-roughness material of a surface."""
 
     color: RGB = (0.7, 0.7, 0.7)
-    """Base colour."""
+    """Base colour in sRGB, 0..1."""
     metallic: float = 0.0
     """0 = dielectric, 1 = metal."""
     roughness: float = 0.6
@@ -324,9 +324,11 @@ class MaterialSpec:
         """Check the numbers.
 
         Raises:
-            InvalidRequestError: On a number that is not finite.
+            InvalidRequestError: On a colour outside 0..1, or a number that is not finite.
         """
-        limits.require_finite("a material's numbers", (*self.color, self.metallic, self.roughness), 1e6)
+        for value in self.color:
+            limits.require_range("red, green and blue of a material's color", value, 0.0, 1.0)
+        limits.require_finite("a material's numbers", (self.metallic, self.roughness), 1e6)
 
 
 @dataclass(frozen=True, kw_only=True)

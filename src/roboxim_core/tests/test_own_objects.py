@@ -76,6 +76,13 @@ def errors(file: Path) -> list[str]:
         ({"mass": "-1"}, "<mass> must not be below 0"),
         ({"z": "0 0"}, "<origin> xyz must be three numbers"),
         ({"more": '<link name="base"/>'}, "several links of one name"),
+        (
+            {
+                "more": '<link name="b"><visual><geometry><box size="1 1 1"/></geometry><material name="m">'
+                '<color rgba="255 0 0 1"/></material></visual></link>'
+            },
+            "<color> rgba must be numbers from 0 to 1, got '255 0 0 1'",
+        ),
     ],
 )
 def test_a_urdf_that_is_none_is_refused_by_name(package, change, complaint):

@@ -119,6 +119,7 @@ def test_data_of_two_files_says_which_line_of_which():
             r"modifiers \(line 2\): expected a mapping, got nothing",
         ),
         ("control_rate_hz: .nan", "control_rate_hz.*finite"),
+        ("look: {table: {color: [255, 100, 0]}}", r"look\.table.*color must be from 0 to 1, got 255"),
         ("\0", "not valid YAML"),
     ],
 )

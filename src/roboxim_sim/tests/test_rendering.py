@@ -15,10 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, SimError
 from roboxim_core.poses import Pose, look_at
 from roboxim_core.specs import CameraSpec, LightSpec, LookSpec, MaterialSpec
+from roboxim_core.vision import textures as core_textures
 from roboxim_core.vision.renderer import CameraImages, RenderBody, Renderer, RenderWorld, TriangleMesh, VisualPart
 from roboxim_core.vision.textures import ROOM_TEXTURES
 from roboxim_sim.rendering import available_renderers, make_renderer, textures
@@ -415,9 +417,22 @@ def test_configurations_can_use_every_texture_of_the_room() -> None:
 @pytest.mark.parametrize("name", list(textures.TEXTURES))
 def test_textures_are_deterministic(name: str) -> None:
     first = textures.pixels(name)
-    textures.pixels.cache_clear()
+    core_textures._pixels.cache_clear()
     assert np.array_equal(first, textures.pixels(name))
     assert first.std() > 1.0
+
+
+def test_a_changed_texture_is_read_again(raster: Renderer, tmp_path: Path) -> None:
+    file, other = tmp_path / "print.png", tmp_path / "other.png"
+    shades = []
+    for shade in (40, 200):
+        for image in (file, other):
+            Image.new("RGB", (8 + shade, 8), (shade,) * 3).save(image)
+        for image in (other, file):
+            raster.load(RenderWorld(bodies=(body("table", box(1.0, 1.0, 0.05), texture=str(image)),), look=LookSpec()))
+            image.unlink()  # a texture of an earlier world may be gone
+        shades.append(raster.render({}, [(camera(), EYE)])["eye"].rgb.mean())
+    assert shades[1] > 1.1 * shades[0]
 
 
 @pytest.mark.parametrize("name", ["wood", "checker", "concrete", "fabric", "marble", "speckle"])

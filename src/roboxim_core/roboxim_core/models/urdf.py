@@ -244,8 +244,11 @@ def urdf_visual(element: ElementTree.Element, path: Path, materials: dict[str, E
             raise ConfigError(f"{path}: material '{material.get('name', '')}' needs the <texture> {file}: no such file")
         surface = MaterialSpec(color=(1.0, 1.0, 1.0), texture=str(file))
     elif material is not None and (color := material.find("color")) is not None:
-        rgba = color.get("rgba", "0.7 0.7 0.7 1").split()[:3]
-        surface = MaterialSpec(color=_vector(" ".join(rgba), f"{path}: <color> rgba"))
+        text = color.get("rgba", "0.7 0.7 0.7 1")
+        rgb = _vector(" ".join(text.split()[:3]), f"{path}: <color> rgba")
+        if not all(0.0 <= value <= 1.0 for value in rgb):
+            raise ConfigError(f"{path}: <color> rgba must be numbers from 0 to 1, got {limits.echo(text)}")
+        surface = MaterialSpec(color=rgb)
     return Visual(kind=kind, size=size, mesh=mesh, scale=scale, pose=origin_pose(element, str(path)), material=surface)
 
 

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import trimesh
     from PIL import Image
 
+    from roboxim_core.models.hulls import Stamp
+
 Field = npt.NDArray[np.float64]
 Pixels = npt.NDArray[np.uint8]
 
@@ -36,9 +38,10 @@ ROOM_TEXTURES = ("checker", "concrete", "fabric", "marble", "oak", "plaster", "s
 """Names of the textures of tables, floors and walls, which the renderer registers."""
 
 
-@lru_cache(maxsize=64)
 def pixels(name: str) -> Pixels:
     """Return a texture's pixels, square roots of linear values, shape (SIZE, SIZE, 3), the first row at v = 0.
+
+    They are kept; a file that has changed is read again.
 
     Args:
         name: A registered name; the path of an image file; or ``<mesh file>#<geometry>``, for the base colour image of
@@ -47,6 +50,18 @@ def pixels(name: str) -> Pixels:
     Raises:
         ConfigError: When there is no such texture or image; the message lists the known ones.
     """
+    return _pixels(name, texture_stamp(name))
+
+
+def texture_stamp(name: str) -> Stamp:
+    """Return times and sizes of a texture's files; empty for a registered name. Arguments as of `pixels`."""
+    from roboxim_core.models.hulls import mesh_stamp  # which imports this module
+
+    return mesh_stamp(_split(name)[0]) if "/" in name else ()
+
+
+@lru_cache(maxsize=64)
+def _pixels(name: str, _stamp: Stamp) -> Pixels:
     if not name:
         factor = np.ones((SIZE, SIZE))
     elif "/" in name:
@@ -58,22 +73,30 @@ def pixels(name: str) -> Pixels:
     return np.ascontiguousarray(image) if image.ndim == 3 else np.broadcast_to(image[..., None], (SIZE, SIZE, 3))
 
 
-def _image(name: str) -> Image.Image:
+def _split(name: str) -> tuple[str, str]:
+    """Return the file of a texture and the geometry in it; empty: the file is the image."""
     cuts = [place for place, letter in enumerate(name) if letter == "#"]  # a folder's name may have one, too
     cut = next((place for place in cuts if Path(name[:place]).is_file()), len(name))
-    path, geometry = name[:cut], name[cut + 1 :]
+    return name[:cut], name[cut + 1 :]
+
+
+def _image(name: str) -> Image.Image:
+    path, geometry = _split(name)
     import trimesh  # imported here: it costs 0.5 s and 20 MiB, and procedural textures do not need it
-    from PIL import Image
+    from PIL import Image, ImageOps
 
     try:
-        if not geometry:
-            return Image.open(path)
-        geometries = trimesh.load_scene(path, process=False).geometry
-    except (OSError, ValueError, KeyError) as error:
+        if geometry:
+            geometries = trimesh.load_scene(path, process=False).geometry
+            image = base_color_image(geometries[geometry]) if geometry in geometries else None
+        else:
+            geometries, image = {}, ImageOps.exif_transpose(Image.open(path))
+        if image is not None:
+            image.load()
+    except (OSError, ValueError, KeyError, SyntaxError, Image.DecompressionBombError) as error:  # SyntaxError: Pillow's
         raise ConfigError(f"cannot read the texture {name}: {error}") from None
-    if geometry not in geometries:
+    if geometry and geometry not in geometries:
         raise ConfigError(f"{path} has no geometry '{geometry}'; {one_of(geometries, geometry)}")
-    image = base_color_image(geometries[geometry])
     if image is None:
         raise ConfigError(f"geometry '{geometry}' of {path} has no base colour image")
     return image
@@ -91,6 +114,8 @@ def base_color_image(mesh: trimesh.Trimesh) -> Image.Image | None:
 def _linear(image: Image.Image) -> Field:
     from PIL import Image
 
+    if image.mode.startswith("I"):  # 16 bits, which Pillow clips to 8 instead of scaling
+        image = Image.fromarray(np.rint(np.asarray(image) / 257).astype(np.uint8))
     srgb = np.asarray(image.convert("RGB").resize((SIZE, SIZE), Image.Resampling.LANCZOS), dtype=np.float64) / 255.0
     return to_linear(srgb)
 

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, SimError
+from roboxim_core.models.hulls import Stamp
 from roboxim_sim.rendering import textures
 from roboxim_sim.rendering.geometry import VERTEX, VERTEX_FORMAT, VERTEX_NAMES, PackedWorld
 
@@ -218,18 +219,22 @@ class TextureStore:
         self._array: moderngl.TextureArray | None = None
         self.names: tuple[str, ...] = ()
         """Texture names by the number in the vertices: 0 means no texture, 1 is the array's first layer."""
+        self._stamps: dict[str, Stamp] = {}
 
     def hold(self, names: Iterable[str]) -> None:
-        """Ensure that the array holds the textures.
+        """Ensure that the array holds the textures, as their files are now.
 
         Raises:
             ConfigError: On an unknown texture name.
         """
-        wanted = tuple(dict.fromkeys(names))
-        if not set(wanted) - set(self.names):
+        wanted = {name: textures.texture_stamp(name) for name in names}
+        if all(self._stamps.get(name) == stamp for name, stamp in wanted.items()):
             return
-        together = tuple(dict.fromkeys([*self.names, *wanted]))
-        self._upload(together if len(together) <= KEPT_TEXTURES else wanted)
+        same = {name: stamp for name, stamp in self._stamps.items() if textures.texture_stamp(name) == stamp}
+        together = same | wanted
+        stamps = together if len(together) <= KEPT_TEXTURES else wanted
+        self._upload(tuple(stamps))
+        self._stamps = stamps
 
     def use(self, unit: int) -> None:
         """Bind the array to a texture unit."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import roboxim_core.models.textures  # noqa: F401  (registers the objects' textures)
-from roboxim_core.vision.textures import SIZE, TEXTURES, Field, grid, noise, pixels, rolled
+from roboxim_core.vision.textures import SIZE, TEXTURES, Field, grid, noise, pixels, rolled, texture_stamp
 
 TILE_M = 0.8
 """Side of the square that one tile covers on a mesh without texture coordinates [m]."""
@@ -130,4 +130,4 @@ def speckle() -> Field:
     return np.asarray(np.clip(0.9 - 0.32 * large - 0.25 * small + 0.02 * noise(42, 150, 150), 0, 1))
 
 
-__all__ = ["SIZE", "TEXTURES", "TILE_M", "pixels"]
+__all__ = ["SIZE", "TEXTURES", "TILE_M", "pixels", "texture_stamp"]

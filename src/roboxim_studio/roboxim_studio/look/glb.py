@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from roboxim_core.models.hulls import Stamp
 from roboxim_core.specs import MaterialSpec
 from roboxim_core.vision.renderer import RenderBody, VisualPart
 from roboxim_core.vision.srgb import to_srgb
-from roboxim_core.vision.textures import pixels
+from roboxim_core.vision.textures import pixels, texture_stamp
 from roboxim_sim.rendering.geometry import linear, textured
 
 TEXTURE_PX = 256
@@ -20,11 +21,11 @@ TEXTURE_PX = 256
 
 def body_glb(body: RenderBody) -> bytes:
     """Return a body as GLB, in its own frame; bodies that share parts (in every scene: the robot's) share the bytes."""
-    return _glb(body.parts)
+    return _glb(body.parts, tuple(texture_stamp(part.material.texture) for part in body.parts))
 
 
 @lru_cache(maxsize=256)
-def _glb(parts: tuple[VisualPart, ...]) -> bytes:
+def _glb(parts: tuple[VisualPart, ...], _stamps: tuple[Stamp, ...]) -> bytes:
     trimesh: Any = import_module("trimesh")
     scene = trimesh.Scene()
     for number, part in enumerate(parts):
@@ -40,7 +41,7 @@ def _mesh(part: VisualPart) -> Any:
     material, mesh = part.material, part.mesh
     image = None
     if material.texture:
-        mesh, image = textured(mesh), _image(material.texture)
+        mesh, image = textured(mesh), _image(material.texture, texture_stamp(material.texture))
     looks = trimesh.visual.material.PBRMaterial(
         baseColorFactor=[*(255 * linear(material.color)).round().astype(np.uint8), 255],
         metallicFactor=material.metallic,
@@ -61,7 +62,7 @@ def _name(material: MaterialSpec) -> str:
 
 
 @lru_cache(maxsize=64)
-def _image(name: str) -> Any:
+def _image(name: str, _stamp: Stamp) -> Any:
     """Return a texture as a picture whose lowest row is at v = 0, as trimesh expects."""
     from PIL import Image
 
