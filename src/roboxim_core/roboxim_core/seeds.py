@@ -20,6 +20,8 @@ from roboxim_core.errors import InvalidRequestError
 
 Purpose = Literal["demo", "eval", "train", "test"]
 PURPOSES: tuple[str, ...] = get_args(Purpose)
+EVALUATED = ("eval", "train")
+"""Purposes of episodes that policies play to be compared: reports, and choices that no report may have seen."""
 CELL = "cell"
 """Key of a task's ``drawn``: the episode's cell in a mix, e.g. ``pick_up target=apple``."""
 CELL_NUMBER = "cell_number"

@@ -52,7 +52,7 @@ class FixedTask:
     parameters: Any = None
     """The skill's parameters and thresholds."""
     lenient: Any = None
-    """Parameters with other values for the evaluation of policies (purpose ``eval``)."""
+    """Parameters with other values for the evaluation of policies (purpose ``eval`` or ``train``)."""
     visible: VisibleConfig = VisibleConfig()
     """Required visibility of the objects that the instruction names."""
     limits: LimitsConfig | None = None
@@ -76,7 +76,7 @@ class FixedTaskConfig(TaskConfig):
         """Return the task, with the arguments that the skill's generator gives it in this scene.
 
         Args:
-            purpose: ``eval`` uses the lenient parameters.
+            purpose: Those of `EVALUATED` use the lenient parameters.
             library: Library of the objects, the source of their nouns.
         """
         objects = {}

@@ -96,7 +96,7 @@ class StepConfig:
     parameters: Any = None
     """The skill's parameters and thresholds."""
     lenient: Any = None
-    """Parameters with other values for the evaluation of policies (purpose ``eval``)."""
+    """Parameters with other values for the evaluation of policies (purpose ``eval`` or ``train``)."""
     arguments: dict[str, Choice] = field(default_factory=dict)
     """Parameters that vary from episode to episode. Steps whose argument has the same name and values draw the same."""
     templates: Choice | None = None
@@ -121,7 +121,7 @@ class TaskConfig:
     parameters: Any = None
     """The skill's parameters and thresholds that demonstrations must meet."""
     lenient: Any = None
-    """Parameters with other values for the evaluation of policies (purpose ``eval``)."""
+    """Parameters with other values for the evaluation of policies (purpose ``eval`` or ``train``)."""
     arguments: dict[str, Choice] = field(default_factory=dict)
     """Parameters that vary from episode to episode, e.g. ``{drawer: {values: [top, middle], order: in_order}}``."""
     templates: Choice | None = None

@@ -191,7 +191,8 @@ cells:
     assert colors == ["red", "green", "blue"]
 
 
-def test_lenient_thresholds_are_for_policies_and_arguments_vary(draw):
+@pytest.mark.parametrize("purpose", ["eval", "train"])
+def test_lenient_thresholds_are_for_policies_and_arguments_vary(draw, purpose):
     text = """
 skill: pick_up
 parameters: {lift_m: 0.06}
@@ -199,7 +200,7 @@ lenient: {lift_m: 0.03}
 arguments: {hold_s: {values: [0.2, 0.4], order: in_order}}
 """
     config = parse_task_config(text)
-    demo, policy = draw(0, config, purpose="demo").task, draw(1, config, purpose="eval").task
+    demo, policy = draw(0, config, purpose="demo").task, draw(1, config, purpose=purpose).task
     assert (demo.arguments["lift_m"], policy.arguments["lift_m"]) == (0.06, 0.03)
     assert (demo.arguments["hold_s"], policy.arguments["hold_s"]) == (0.2, 0.4)
 

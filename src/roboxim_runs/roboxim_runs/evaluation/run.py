@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from roboxim_core.config import to_json
 from roboxim_core.errors import ConfigError, EvaluationError
 from roboxim_core.policies import Policy
+from roboxim_core.seeds import EVALUATED
 from roboxim_core.shards import Shard
 from roboxim_eval.film_options import FilmOptions
 from roboxim_policies.remote import SERVERS_OWN
@@ -44,9 +45,6 @@ from roboxim_runs.storage.folder import RunFolder
 
 if TYPE_CHECKING:
     from roboxim_runs.policies.servers import PolicyServers
-
-PURPOSES = ("eval", "train")
-"""Purposes of scenes in which policies are compared; those of demonstrations are ``demo``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,8 +106,8 @@ class EvaluationConfig(EpisodesConfig):
             ConfigError: As `EpisodesConfig`, or on another purpose.
         """
         super().__post_init__()
-        if self.purpose not in PURPOSES:
-            raise ConfigError(f"the purpose of an evaluation is {' or '.join(PURPOSES)}, got '{self.purpose}'")
+        if self.purpose not in EVALUATED:
+            raise ConfigError(f"the purpose of an evaluation is {' or '.join(EVALUATED)}, got '{self.purpose}'")
 
 
 def evaluate(

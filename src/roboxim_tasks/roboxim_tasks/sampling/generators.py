@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.models.description import ObjectModel
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.seeds import SeedPath
+from roboxim_core.seeds import EVALUATED, SeedPath
 from roboxim_core.specs import PhysicalObject, TaskSpec
 from roboxim_tasks.choices import Choice, choice_text
 from roboxim_tasks.roles import STAY, Role, Wording, description, distractor_role
@@ -112,7 +112,7 @@ class GenerationContext:
     @property
     def parameters(self) -> Any:
         """The skill's parameters, with drawn values where they vary and lenient ones where a policy is evaluated."""
-        base = self.config.lenient if self.seed.purpose == "eval" else self.config.parameters
+        base = self.config.lenient if self.seed.purpose in EVALUATED else self.config.parameters
         drawn = {
             name: choice.draw(self.seed.rng(f"argument/{name}"), self.index)
             for name, choice in self.config.arguments.items()
