@@ -27,7 +27,10 @@ VISIBLE_GROUPS = (0, 1, 2)
 _TURNS = ("quat", "euler", "axisangle")
 _SIZES = {"sphere": 1, "cylinder": 2, "capsule": 2, "box": 3}
 """Kind of geom to the least number of its sizes."""
-_REFUSED = {"include": "expand it first, e.g. by mujoco.mj_saveLastXML", "replicate": "expand it first"}
+_REFUSED = ("include", "replicate", "frame", "attach", "composite", "flexcomp")
+"""Elements of which bodies and geoms are made; not read, these would be lost."""
+_ACTUATORS = ("motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion")
+"""Shortcuts of ``<general>``: in a default class, all of them set the same attributes."""
 
 
 def is_mjcf(root: Element) -> bool:
@@ -62,9 +65,9 @@ class _Reader:
     """Link, visual element, group, and whether the geom also touches, of each geom that MuJoCo's viewer shows."""
 
     def __post_init__(self) -> None:
-        for tag, cure in _REFUSED.items():
+        for tag in _REFUSED:
             if self.root.find(f".//{tag}") is not None:
-                raise ConfigError(f"{self.path}: <{tag}> is not read; {cure}")
+                raise ConfigError(f"{self.path}: <{tag}> is not read; expand it first, e.g. by mujoco.mj_saveLastXML")
         compiler = self.root.find("compiler")
         settings = {} if compiler is None else dict(compiler.attrib)
         if settings.get("coordinate", "local") != "local" or settings.get("eulerseq", "xyz") != "xyz":
@@ -92,19 +95,19 @@ class _Reader:
         mine = {tag: dict(values) for tag, values in above.items()}
         for child in element:
             if child.tag != "default":
-                mine.setdefault(child.tag, {}).update(child.attrib)
+                mine.setdefault(_kind(child.tag), {}).update(child.attrib)
         self._classes[element.get("class", "main")] = mine
         if not nested:  # it holds everywhere, whatever its name
             self._classes["main"] = self._classes["main"] | mine
         for child in element.findall("default"):
             self._read_defaults(child, mine, nested=True)
 
-    def _full(self, element: Element, inherited: str) -> dict[str, str]:
-        """Return an element's attributes together with those of its class."""
+    def _full(self, element: Element, inherited: str, kind: str = "") -> dict[str, str]:
+        """Return an element's attributes together with those that its class has for its kind, by default its tag."""
         name = element.get("class") or inherited
         if name not in self._classes:
             raise ConfigError(f"{self.path}: no default class '{name}'; there are {', '.join(self._classes)}")
-        return self._classes[name].get(element.tag, {}) | element.attrib
+        return self._classes[name].get(kind or _kind(element.tag), {}) | element.attrib
 
     def _motor_efforts(self) -> Iterator[tuple[str, float]]:
         """Yield driven joints and the largest torque [N m] or force [N] that their actuators state."""
@@ -128,7 +131,8 @@ class _Reader:
         self._leave_out_what_only_touches()
         joints = {str(joint.get("name")): joint for joint in self.made.findall("joint")}
         for equality in self.root.iterfind("equality/joint"):
-            self._mimic(equality, joints)
+            if (given := self._full(equality, "main", "equality")).get("active") != "false":
+                self._mimic(given, joints)
         return self.made
 
     def _leave_out_what_only_touches(self) -> None:
@@ -185,9 +189,9 @@ class _Reader:
         effort = max(map(abs, forces)) or self._efforts.get(named, 0.0)
         ElementTree.SubElement(made, "limit", limit | {"velocity": "0", "effort": f"{effort:.10g}"})
 
-    def _mimic(self, equality: Element, joints: dict[str, Element]) -> None:
+    def _mimic(self, equality: dict[str, str], joints: dict[str, Element]) -> None:
         first, second = str(equality.get("joint1")), str(equality.get("joint2"))
-        factors = _numbers(equality.attrib, "polycoef", 2, 5, default="0 1 0 0 0")
+        factors = _numbers(equality, "polycoef", 2, 5, default="0 1 0 0 0")
         if first not in joints or second not in joints or any(factors[2:]):
             raise ConfigError(f"{self.path}: <equality>: {first} must be a multiple of the joint {second}")
         values = {"joint": second, "multiplier": f"{factors[1]:.10g}", "offset": f"{factors[0]:.10g}"}
@@ -272,6 +276,11 @@ class _Reader:
             *axis, angle = _numbers(given, "axisangle", 4)
             turn = Rotation.from_rotvec(self._unit * angle * np.array(axis) / (np.linalg.norm(axis) or 1.0))
         return np.array(_numbers(given, "pos", 3, default="0 0 0")), turn
+
+
+def _kind(tag: str) -> str:
+    """Return the name under which a default class keeps the attributes of an element."""
+    return "general" if tag in _ACTUATORS else tag
 
 
 def _origin(place: Array, turn: Rotation) -> Element:

@@ -99,6 +99,23 @@ def test_torques_are_those_of_the_actuators(tmp_path: Path, actuator: str, effor
     assert joint(expanded(path), "shoulder").find("limit").get("effort") == effort
 
 
+@pytest.mark.parametrize("tag", ["general", "motor", "position"])
+def test_all_actuators_share_the_defaults_of_a_class(tmp_path: Path, tag: str) -> None:
+    path = written(tmp_path)
+    text = path.read_text().replace("</default>\n  <asset>", f'<{tag} forcerange="-150 150"/></default>\n  <asset>')
+    path.write_text(text.replace(' forcerange="-27 27"', ""))
+    assert joint(expanded(path), "shoulder").find("limit").get("effort") == "150"
+
+
+@pytest.mark.parametrize("inactive", ['polycoef="0 1 0 0 0" active="false"', 'class="off"'])
+def test_an_inactive_equality_couples_nothing(tmp_path: Path, inactive: str) -> None:
+    path = written(tmp_path)
+    off = '<default class="off"><equality active="false"/></default></default>\n  <asset>'
+    text = path.read_text().replace("</default>\n  <asset>", off)
+    path.write_text(text.replace('joint2="left" polycoef="0 1 0 0 0"', f'joint2="left" {inactive}'))
+    assert joint(expanded(path), "right").find("mimic") is None
+
+
 def test_it_moves_and_weighs_as_the_mjcf_says(tmp_path: Path) -> None:
     robot = model(expanded(written(tmp_path)))
     data = robot.createData()
@@ -127,6 +144,8 @@ def test_degrees_are_the_default_unit(tmp_path: Path) -> None:
     ("more", "said"),
     [
         ('<include file="hand.xml"/>', "<include> is not read"),
+        ('<frame pos="0 0 1"><body name="b"/></frame>', "<frame> is not read; expand it first"),
+        ('<attach model="hand" body="palm" prefix="b_"/>', "<attach> is not read; expand it first"),
         ('<body name="b"><freejoint/></body>', "body 'b': expected at most one joint"),
         ('<body name="b"><joint type="ball"/></body>', "is a ball; expected a hinge or a slide"),
         ('<body name="b"><joint name="j" pos="0 0 1"/></body>', "joint 'j': pos must be 0"),
