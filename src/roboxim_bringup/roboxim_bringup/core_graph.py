@@ -142,7 +142,7 @@ class CoreSim:
         if cameras:
             poses = self.world.camera_poses()
             views = [(camera, poses[camera.name]) for camera in cameras]
-            self.images = self._rig.capture(record.seq, self.world.body_poses(), views)
+            self.images = self._rig.capture(record.seq, record.stamp_ns, self.world.body_poses(), views)
 
     @property
     def messages(self) -> Mapping[str, memoryview]:

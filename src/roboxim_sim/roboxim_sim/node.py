@@ -247,7 +247,7 @@ class SimNode(SimServer):
         assert self._rig is not None
         poses = self.world.camera_poses()
         views = [(camera, poses[camera.name]) for camera in cameras]
-        images = self._rig.capture(record.seq, self.world.body_poses(), views)
+        images = self._rig.capture(record.seq, record.stamp_ns, self.world.body_poses(), views)
         for one in images.values():
             one.freeze()
         return images

@@ -16,7 +16,7 @@ from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.poses import Pose, look_at
 from roboxim_core.specs import CameraNoise, CameraSpec, LookSpec, MaterialSpec, SceneSpec
 from roboxim_core.vision.cameras import project
-from roboxim_core.vision.renderer import RenderBody, Renderer, RenderWorld, TriangleMesh, VisualPart
+from roboxim_core.vision.renderer import CameraImages, RenderBody, Renderer, RenderWorld, TriangleMesh, VisualPart
 from roboxim_sim.conversions import camera_info_msg
 from roboxim_sim.rendering import make_renderer
 from roboxim_sim.rendering.camera_effects import CameraRig, draw_frames
@@ -167,14 +167,22 @@ def test_a_slow_camera_repeats_its_frame_until_the_next(renderer: Renderer) -> N
     rig = CameraRig(renderer)
     rig.load(world(), scene)
     views = [(slow, EYE), (fast, EYE)]
-    taken = [rig.capture(seq, {"p0": Pose(position=(0.02 * seq, 0.0, 0.0))}, views) for seq in range(9)]
+
+    def take(seq: int, stamp_ns: int) -> dict[str, CameraImages]:
+        return rig.capture(seq, stamp_ns, {"p0": Pose(position=(0.02 * seq, 0.0, 0.0))}, views)
+
+    taken = [take(seq, seq * scene.tick_ns) for seq in range(9)]
     distinct = [not np.array_equal(a["slow"].rgb, b["slow"].rgb) for a, b in pairwise(taken)]
     assert distinct == [False, False, False, True, False, False, False, True]
     assert all(not np.array_equal(a["fast"].rgb, b["fast"].rgb) for a, b in pairwise(taken))
     assert np.array_equal(taken[4]["slow"].rgb, taken[4]["fast"].rgb)
     rig.load(world(), scene)
-    restarted = rig.capture(1, {"p0": Pose(position=(0.3, 0.0, 0.0))}, views)
+    restarted = take(1, scene.tick_ns)
     assert np.array_equal(restarted["slow"].rgb, restarted["fast"].rgb)
+    times = (scene.tick_ns + 1, 3 * scene.tick_ns, 40 * scene.tick_ns, 40 * scene.tick_ns)
+    free = [take(seq, stamp_ns) for seq, stamp_ns in enumerate(times, 2)]
+    assert [one["slow"] is restarted["slow"] for one in free] == [True, True, False, False]
+    assert np.array_equal(free[3]["slow"].rgb, free[3]["fast"].rgb), "an object was moved at the time of a frame"
 
 
 def test_an_impossible_lens_is_refused_when_the_scene_is_loaded(renderer: Renderer) -> None:

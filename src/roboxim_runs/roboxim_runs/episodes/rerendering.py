@@ -207,7 +207,8 @@ class Rerenderer:
         for topic, cdr in reader.raw():
             if topic in (topics.NOTICE, topics.RESULT) and state is not None:  # extra topics follow a tick's step
                 cameras = poses.camera_poses(state.robot)
-                images = rig.capture(state.seq, poses.body_poses(state), [(c, cameras[c.name]) for c in scene.cameras])
+                views = [(c, cameras[c.name]) for c in scene.cameras]
+                images = rig.capture(state.seq, state.stamp_ns, poses.body_poses(state), views)
                 for name, message in tick_messages.make_seen(state, images).items():
                     recording.message(topics.absolute(name), message)
                 state = None

@@ -9,8 +9,9 @@ A renderer draws pinhole cameras without distortion and noise. For each camera `
 
 Non-obvious behaviours:
 - Every camera delivers an image at every tick, because an observation belongs to a tick. A slower camera takes frames
-  at the ticks 0, n, 2 n, ... and repeats the last one, bit for bit, in between, as a control loop that reads the newest
-  frame sees it. When a restored snapshot loads the world between two frames, the camera starts with a new frame.
+  at the times of the ticks 0, n, 2 n, ... and repeats the last one, bit for bit, in between, as a control loop that
+  reads the newest frame sees it. Times count, not numbers of ticks: outside an episode a tick may last longer. When a
+  restored snapshot loads the world between two frames, the camera starts with a new frame.
 - Depth and segmentation are distorted with the nearest pixel, never blended; noise is added to colour and depth only.
 - A frame's noise depends only on the camera's noise seed, its name and the tick, so a frame can be reproduced.
 """
@@ -48,7 +49,9 @@ class CameraRig:
     def __init__(self, renderer: Renderer) -> None:
         """Use a renderer; the caller keeps its ownership and closes it."""
         self.renderer = renderer
-        self._frame_ticks: dict[str, int] = {}
+        self._periods_ns: dict[str, float] = {}
+        """Time between two frames by camera [ns]; 0: a frame at every tick."""
+        self._frames: dict[str, int] = {}
         self._held: dict[str, CameraImages] = {}
 
     def load(self, world: RenderWorld, scene: SceneSpec) -> None:
@@ -60,15 +63,17 @@ class CameraRig:
         """
         for camera in scene.cameras:
             _lens(camera)
-        self._held = {}
-        self._frame_ticks = {camera.name: camera.ticks_per_frame(scene.control_rate_hz) for camera in scene.cameras}
+        self._held, self._frames = {}, {}
+        ticks = {camera.name: camera.ticks_per_frame(scene.control_rate_hz) for camera in scene.cameras}
+        self._periods_ns = {name: 1e9 * n / scene.control_rate_hz if n > 1 else 0.0 for name, n in ticks.items()}
         self.renderer.load(world)
 
-    def capture(self, seq: int, poses: Mapping[str, Pose], views: Views) -> dict[str, CameraImages]:
+    def capture(self, seq: int, stamp_ns: int, poses: Mapping[str, Pose], views: Views) -> dict[str, CameraImages]:
         """Return the images of every camera at a tick; a held frame is the same object as before.
 
         Args:
-            seq: The tick.
+            seq: The tick, which the noise depends on.
+            stamp_ns: Its time [ns].
             poses: Poses in the world by body key.
             views: Cameras of the loaded scene with the poses of their optical frames in the world.
 
@@ -76,14 +81,19 @@ class CameraRig:
             InvalidRequestError: On a pose of an unknown body, or two cameras with the same name.
             SimError: As the renderer's `render`.
         """
-        due = [
-            (camera, pose)
-            for camera, pose in views
-            if camera.name not in self._held or seq % self._frame_ticks.get(camera.name, 1) == 0
-        ]
+        due = [(camera, pose) for camera, pose in views if self._is_due(camera.name, stamp_ns)]
         if due:
             self._held |= draw_frames(self.renderer, seq, poses, due)
         return {camera.name: self._held[camera.name] for camera, _ in views}
+
+    def _is_due(self, name: str, stamp_ns: int) -> bool:
+        """Return whether a camera takes a frame, and note which."""
+        period = self._periods_ns.get(name, 0.0)
+        if not period:
+            return True
+        frame, past = divmod(stamp_ns + 1, period)  # stamps are rounded to 1 ns
+        before, self._frames[name] = self._frames.get(name), int(frame)
+        return frame != before or past <= 2  # at a frame's very time again, e.g. after an object was moved
 
 
 def draw_frames(
