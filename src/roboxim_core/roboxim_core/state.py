@@ -18,11 +18,11 @@ class EntityState:
     pose: Pose = IDENTITY
     """Pose of its base link in the world."""
     linear_velocity: Vec3 = (0.0, 0.0, 0.0)
-    """Velocity of its base link in the world [m/s]."""
+    """Velocity of its base link's centre of mass in the world [m/s]; that of the pose's origin differs as it turns."""
     angular_velocity: Vec3 = (0.0, 0.0, 0.0)
     """Angular velocity of its base link in the world [rad/s]."""
     fastest_fall: float = 0.0
-    """Largest downward speed of its base link over the tick's physics steps [m/s]; 0 if it never moved down."""
+    """Largest downward speed of that centre of mass over the tick's physics steps [m/s]; 0: it never moved down."""
     joint_names: tuple[str, ...] = ()
     """Names of its joints; empty for a rigid object."""
     joint_positions: tuple[float, ...] = ()

@@ -63,7 +63,11 @@ def build_table(client: BulletClient, table: TableSpec) -> dict[int, str]:
 
 
 class ObjectBody:
-    """An object in PyBullet."""
+    """An object in PyBullet.
+
+    PyBullet computes the inertia of a link: exactly of one box, sphere or cylinder; of several shapes, a capsule or a
+    hull it takes that of a solid box around them.
+    """
 
     def __init__(self, client: BulletClient, model: ObjectModel, entity: EntitySpec) -> None:
         """Build an object.
@@ -124,7 +128,10 @@ class ObjectBody:
         angular: Sequence[float] = (0.0, 0.0, 0.0),
         joint_positions: dict[str, float] | None = None,
     ) -> None:
-        """Set the base pose in the world, the base velocities [m/s, rad/s] and the joint positions [m or rad]."""
+        """Set the base's pose and velocities in the world and the joint positions [m or rad].
+
+        The linear velocity is that of the base's centre of mass [m/s].
+        """
         if pose is not None:
             base = pose @ self._center if self._center != IDENTITY else pose
             self._client.resetBasePositionAndOrientation(self.id, base.position, base.quat_xyzw)
@@ -147,7 +154,7 @@ class ObjectBody:
         Args:
             lowest: Lowest joint positions during the tick [m or rad].
             highest: Highest joint positions during the tick [m or rad].
-            fastest_fall: Largest downward speed of the base during the tick [m/s].
+            fastest_fall: Largest downward speed of the base's centre of mass during the tick [m/s].
         """
         position, quat = self._client.getBasePositionAndOrientation(self.id)
         linear, angular = self._client.getBaseVelocity(self.id)
@@ -242,7 +249,8 @@ def _hull(path: str) -> trimesh.Trimesh:
 MAX_SHAPES = 16
 """Maximum number of shapes of one link; PyBullet silently drops further ones."""
 MESH_MARGIN_M = 0.001
-"""Margin that PyBullet adds to the convex parts of a mesh on every side [m]."""
+"""Margin that PyBullet adds to the convex parts of a mesh on every side [m]. Hulls of objects keep it: they collide
+that much too far out, and recorded states depend on it."""
 
 
 def _with_boxes_in_a_file(shapes: Sequence[Shape]) -> list[Shape]:

@@ -86,7 +86,7 @@ class TickObserver:
         )
 
     def fastest_fall(self, body: ObjectBody) -> float:
-        """Return the largest downward speed of an object's base over the tick [m/s]."""
+        """Return the largest downward speed of the centre of mass of an object's base over the tick [m/s]."""
         return 0.0 - self._lowest_velocity[body.name]
 
     def extremes(self, body: ObjectBody) -> tuple[tuple[float, ...], tuple[float, ...]]:

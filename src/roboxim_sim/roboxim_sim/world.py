@@ -165,7 +165,7 @@ class World(EpisodeWorld):
         Args:
             name: The entity.
             pose: Pose of its base in the world; none: unchanged.
-            linear_velocity: Linear velocity, set together with the pose [m/s].
+            linear_velocity: Velocity of its base's centre of mass, set together with the pose [m/s].
             angular_velocity: Angular velocity, set together with the pose [rad/s].
             joint_positions: Positions by joint name [m or rad].
 

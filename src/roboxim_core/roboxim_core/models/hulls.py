@@ -1,7 +1,7 @@
 """Convex hulls of mesh files, for collision.
 
 A hull of any mesh format (GLB, COLLADA, a scene of many parts) is written once, as an OBJ file in the user's cache. The
-simulator and the planner therefore read the same shape.
+simulator and the planner therefore read the same shape; in PyBullet its surface is 1 mm further out on every side.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ def urdf_object(path: Path) -> tuple[tuple[LinkModel, ...], tuple[JointModel, ..
     """Read the links, the base first, and joints of a URDF file.
 
     A link on a fixed joint becomes part of its parent. Collision meshes become their convex hulls. Inertias are not
-    read: the simulator computes them from shapes and masses.
+    read: the simulator computes them from shapes and masses (see `roboxim_sim.bodies.ObjectBody`).
 
     Raises:
         ConfigError: When the file cannot be read or holds an element that objects do not support.
