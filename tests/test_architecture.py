@@ -122,6 +122,7 @@ def core_modules():
                 yield name.removesuffix(".__init__")
 
 
+@pytest.mark.thorough
 def test_cores_import_without_rclpy():
     script = f"""
 import importlib, sys

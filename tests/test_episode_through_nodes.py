@@ -53,6 +53,7 @@ def test_the_same_episode_gives_the_same_bag_through_nodes_and_cores(graph, tmp_
     assert BagReader(tmp_path / "nodes" / result.bag).result.wall_s == 0.0
 
 
+@pytest.mark.thorough
 def test_a_request_may_leave_everything_to_the_defaults_of_the_message(graph):
     """``keep`` is empty in such a request, as in `roboxim action send_goal ... "{config: {actor: expert}}"`."""
     config = RunConfigMsg(actor="expert", purpose="test", image_width=32, image_height=32)
@@ -98,6 +99,7 @@ def test_failed_attempts_are_stored_separately_and_partial_bags_removed(graph, t
     assert not list(Path(tmp_path, ".partial").glob("*"))
 
 
+@pytest.mark.thorough
 def test_an_episode_whose_scene_is_not_settled_leaves_no_bag_and_does_not_stop_the_run(graph, tmp_path):
     scene = tmp_path / "falling.yaml"
     scene.write_text("entities: [{name: ball, model: apple, pose: {position: [0.3, 0.4, 0.5]}}]\n")

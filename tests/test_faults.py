@@ -314,6 +314,7 @@ def test_a_wrong_task_configuration_is_refused_by_name(run, task, expected):
     assert re.search(expected, message), message
 
 
+@pytest.mark.thorough
 def test_an_evaluator_that_died_does_not_lock_out_its_successor(shared, policy, run):
     graph, clients, _, _ = shared
     client = ports.RosPorts(graph.host.context, graph.namespace)
@@ -335,6 +336,7 @@ def test_a_foreign_lease_is_respected(shared, run):
     assert run()[0].steps == 3
 
 
+@pytest.mark.thorough
 def test_an_unwritable_folder_is_a_disk_error(tmp_path):
     (tmp_path / "file").touch()
     words = [

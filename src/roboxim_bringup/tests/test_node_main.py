@@ -69,6 +69,7 @@ print("found")
 """A program of its own: a process keeps the transport of its first node."""
 
 
+@pytest.mark.thorough
 @pytest.mark.ros
 def test_a_plain_rclpy_program_finds_the_node() -> None:
     environment = {name: value for name, value in os.environ.items() if name != "ROBOXIM_TRANSPORT"}

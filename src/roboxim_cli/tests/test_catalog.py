@@ -91,6 +91,7 @@ def test_tasks_are_listed_from_the_kept_catalog_until_something_changes(cache, t
     assert listed["tasks"]["mine"]["about"] == "Lift an apple."
 
 
+@pytest.mark.thorough
 def test_lists_are_read_from_the_kept_catalog_without_a_heavy_import(cache, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     catalog.catalog("experiments")

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 from roboxim_core.vision.images import encode_image
 from roboxim_datasets.rlds import RldsEpisode, RldsFeatures, RldsWriter
@@ -77,6 +78,7 @@ def test_every_slow_command_says_at_once_what_begins():
     assert {name for name in silent if not {name, name.split()[0]} & AT_ONCE} == set()
 
 
+@pytest.mark.thorough
 def test_a_conversion_says_what_begins_before_its_libraries_are_imported(tmp_path):
     words = ["dataset", "convert", "lerobot", tmp_path / "none", "--out", tmp_path / "out"]
     done = subprocess.run([sys.executable, "-c", BEGUN, *map(str, words)], capture_output=True, text=True, check=False)
@@ -94,10 +96,12 @@ def test_help_of_exports_imports_no_library_of_a_format():
     assert "SOURCE" in imports_none(NUMERICS | {"mcap"}, "dataset", "convert", "lerobot", "--help")
 
 
+@pytest.mark.thorough
 def test_a_task_is_sampled_without_a_library_of_images():
     assert imports_none({"PIL", "cv2"}, "tasks", "sample", "--seed", "1")
 
 
+@pytest.mark.thorough
 def test_a_folder_and_a_dataset_are_described_without_numerics(tmp_path):
     (tmp_path / "run.json").write_text("{}")
     imports_none(NUMERICS, "runs", tmp_path)

@@ -130,6 +130,7 @@ def test_an_evaluation_of_several_skills_has_a_table_by_skill():
     assert [" ".join(row.split()) for row in table] == ["a b", "pick_up 0 of 1 0 of 1", "stack 2 of 2 0 of 2"]
 
 
+@pytest.mark.thorough
 def test_a_task_is_viewed_with_its_options(tmp_path):
     file = tmp_path / "view.png"
     said = run("view", "pick_up", "--object", "lemon", "--distractors", 0, "--out", file, "--renderer", "tiny").output

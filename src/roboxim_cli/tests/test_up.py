@@ -92,6 +92,7 @@ def test_signal_ends_everything_in_order(up, number):
     assert live_runs() == []
 
 
+@pytest.mark.thorough
 def test_detached_graph_is_ended_by_down(runtime):
     text = roboxim("up", "--only", "recorder", "--detach", "--id", "behind")
     assert "run behind is up" in text

@@ -124,6 +124,7 @@ def test_folder_is_bounded_and_names_are_found(planner: Planner, tmp_path: Path,
         read_dump(other)
 
 
+@pytest.mark.thorough
 def test_pictures_are_drawn(planner: Planner, tmp_path: Path, down: Pose) -> None:
     query = queries(down)[3]
     outcome, answer = answered(query, planner)

@@ -134,6 +134,7 @@ def test_every_family_has_a_policy_and_a_configuration():
         config_class("rt2")
 
 
+@pytest.mark.thorough
 def test_a_sample_is_given_in_the_words_of_a_set():
     settings = config("rt1s", wordings="trained")
     supply = Supply(data(4), settings)

@@ -159,6 +159,7 @@ with only_build(Path(sys.argv[1])):
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["rlds", "lerobot", "hdf5"])
 def test_a_second_export_into_one_folder_is_refused(tmp_path, fake, name):
     fake().record(tmp_path)

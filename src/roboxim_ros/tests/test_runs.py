@@ -153,6 +153,7 @@ def test_a_node_opens_no_socket():
     assert _bound_addresses("user") == set()
 
 
+@pytest.mark.thorough
 @pytest.mark.ros
 def test_open_network_listens_on_every_interface():
     assert any(line.split()[1] == "00000000" for line in _bound_addresses("network"))

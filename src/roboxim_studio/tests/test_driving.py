@@ -89,6 +89,7 @@ def test_an_episode_that_is_cut_off_is_set_apart_and_whole(lab, bag, tmp_path):
     assert next_index(tmp_path, SEED) == 1
 
 
+@pytest.mark.thorough
 def test_a_tap_is_one_tick_and_a_page_that_falls_silent_moves_nothing(studio, tmp_path):
     studio.drive.bags = tmp_path
     studio.open_task("pick_cube").result(timeout=120)

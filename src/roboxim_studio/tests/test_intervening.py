@@ -84,6 +84,7 @@ def test_an_episode_of_one_actor_says_nothing_more(bag):
     assert set(acted_by(BagReader(bag))) == {EXPERT}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["hdf5", "rlds", pytest.param("lerobot", marks=pytest.mark.slow)])
 def test_exports_say_at_every_step_who_acted(shared, reader, tmp_path, name):
     path = export_bags(name, shared, tmp_path, EXPORTERS[name]().config(val_fraction=0.0)).path
@@ -93,6 +94,7 @@ def test_exports_say_at_every_step_who_acted(shared, reader, tmp_path, name):
     assert tuple(found) == acted_by(reader)
 
 
+@pytest.mark.thorough
 def test_an_export_takes_the_steps_of_one_actor(shared, reader, tmp_path):
     label = {tick.seq - 1: tick.step.action_label for tick in reader.ticks(cameras=()) if tick.step.phase == "act"}
     config = EXPORTERS["hdf5"]().config
@@ -113,6 +115,7 @@ def test_an_export_takes_the_steps_of_one_actor(shared, reader, tmp_path):
         config(acted_by="experts")
 
 
+@pytest.mark.thorough
 def test_stretches_of_one_actor_are_audited_against_their_bag_and_are_not_replayed(shared, reader, tmp_path):
     config = EXPORTERS["hdf5"]().config(val_fraction=0.0, acted_by="expert")
     path = export_bags("hdf5", shared, tmp_path / "expert", config).path

@@ -66,6 +66,7 @@ def test_a_selection_file_leaves_episodes_out_of_exports_and_touches_no_bag(stud
     assert studio.files.selection.save("of_another_run") is not None
 
 
+@pytest.mark.thorough
 def test_a_selection_file_trims_and_relabels_and_can_be_loaded_again(studio, run, tmp_path):
     studio.files._folder = tmp_path
     studio.open(recognise(str(run)))

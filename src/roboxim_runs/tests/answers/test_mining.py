@@ -75,6 +75,7 @@ class _Counting(FailsWhere):
             raise RuntimeError("out of memory")
 
 
+@pytest.mark.thorough
 def test_a_search_that_was_stopped_continues_without_playing_again(tmp_path):
     def config(seed):
         return MineConfig(

@@ -195,6 +195,7 @@ def test_bags_are_viewed_as_episodes_of_a_dataset(evaluated: Path, tmp_path: Pat
     assert picture.stat().st_size > 1000
 
 
+@pytest.mark.thorough
 def test_the_experts_way_is_planned_in_the_same_scene(evaluated: Path, tmp_path: Path) -> None:
     info = BagReader(find_episode(evaluated, 0).bag).info
     way = BagReader(expert_way(info, tmp_path).bag)

@@ -424,6 +424,7 @@ def test_models_are_compared_on_the_scenes_that_they_shared(tmp_path):
     assert models.models.keys() == {"alone", "strong"}, "a published folder has the card alone"
 
 
+@pytest.mark.thorough
 def test_a_run_with_other_scenes_changes_nothing_between_the_others(tmp_path):
     one = PLANTED_EXPERIMENT.replace("count: 3", "count: 1")
     names = ("weak", "strong", "elsewhere")
@@ -451,6 +452,7 @@ def test_models_are_compared_by_the_condition_of_the_first_run(tmp_path):
     assert models.pairs[0].difference.value == pytest.approx(0.2 - 0.9), "not the baseline's scenes"
 
 
+@pytest.mark.thorough
 def test_runs_whose_rollouts_were_asked_different_things_are_not_compared(tmp_path):
     planted_folder(tmp_path / "plain", PLANTED_RATES)
     planted_folder(tmp_path / "crowded", PLANTED_RATES, PLANTED_EXPERIMENT.replace("maximum: 0", "maximum: 3"))

@@ -45,6 +45,7 @@ def lerobot_trainer(tmp_path):
     return file, port
 
 
+@pytest.mark.thorough
 def test_a_trainer_of_a_file_gets_its_format_and_its_policy_its_checkpoint(
     fakes, config, experiment, lerobot_trainer, tmp_path
 ):
