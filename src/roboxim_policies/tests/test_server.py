@@ -150,6 +150,18 @@ def test_a_policy_that_does_not_describe_itself_is_refused():
         GuardedPolicy(policy)
 
 
+@pytest.mark.parametrize(
+    "image", [np.zeros((4, 6), np.uint8), np.zeros((4, 6, 3), np.float32), np.zeros((4, 6), np.uint16)]
+)
+def test_an_image_that_is_not_rgb_does_not_reach_the_policy(image):
+    """A depth image under the name of a camera would be taken for colours."""
+    policy = Answers()
+    guard = guarded(policy)
+    with pytest.raises(InvalidRequestError, match="RGB images.*camera 'wrist'"):
+        guard.act(window({"wrist": image}))
+    guard.act(window({"wrist": np.zeros((4, 6, 3), np.uint8)}))
+
+
 def test_a_policy_is_loaded_from_a_module_and_from_a_file(tmp_path, monkeypatch):
     from roboxim_policies import load_policy
 

@@ -308,21 +308,28 @@ def fill_image(msg: Any, image: npt.NDArray[Any], encoding: str) -> Any:
 
 
 def image_from_msg(msg: Any) -> npt.NDArray[Any]:
-    """Return a read-only array that shares the message's memory, shape (height, width) or (height, width, 3).
+    """Return a read-only array of shape (height, width) or (height, width, 3).
+
+    It shares the message's memory, unless the message has the other byte order.
 
     Raises:
         InvalidRequestError: On an unknown encoding, or a size that does not fit the data.
     """
     try:
-        dtype, channels = _ENCODINGS[msg.encoding]
+        scalar, channels = _ENCODINGS[msg.encoding]
     except KeyError:
         raise InvalidRequestError(
             f"image encoding '{msg.encoding}' is not supported; expected one of {', '.join(_ENCODINGS)}"
         ) from None
-    shape = (msg.height, msg.width, channels) if channels > 1 else (msg.height, msg.width)
-    data = np.frombuffer(msg.data, dtype=dtype)
-    if data.size != int(np.prod(shape)):
-        raise InvalidRequestError(f"an image of {msg.width}x{msg.height} {msg.encoding} has {len(msg.data)} bytes")
-    image = data.reshape(shape)
+    dtype = np.dtype(scalar)
+    size = int(msg.height) * int(msg.width) * channels * dtype.itemsize
+    if not size or len(msg.data) != size:
+        raise InvalidRequestError(
+            f"an image of {msg.width}x{msg.height} {msg.encoding} has {len(msg.data)} bytes, expected "
+            f"{size or 'some'}, without padding of its rows"
+        )
+    stored = np.frombuffer(msg.data, dtype.newbyteorder(">" if msg.is_bigendian else "<"))
+    image = stored.astype(dtype, copy=False)
+    image = image.reshape((msg.height, msg.width, channels) if channels > 1 else (msg.height, msg.width))
     image.flags.writeable = False
     return image
