@@ -216,6 +216,12 @@ def absolute(name: str) -> str:
     return name if name.startswith("/") else f"/{name}"
 
 
+def graph_namespace(name: str) -> str:
+    """Return a graph's namespace in the form ``/w0``; empty for the root, which may also be given as ``/``."""
+    name = name.strip("/")
+    return absolute(name) if name else ""
+
+
 def is_own_service(name: str) -> bool:
     """Return whether a service is specific to its node, unlike the services that every node has."""
     return not name.endswith(("_parameters", "_parameter_types", "_parameters_atomically", "/get_type_description"))

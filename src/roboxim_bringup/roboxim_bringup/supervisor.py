@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from roboxim_bringup.attach import graph_namespace
 from roboxim_bringup.graph import GraphConfig, PolicyLaunch, check_declared, split_parameters
 from roboxim_bringup.process import describe_exit, spawn, stop
 from roboxim_core.errors import RoboximError, UnavailableError
@@ -84,7 +85,7 @@ class Supervisor:
             ConfigError: When parameters are given for a node that is not started.
         """
         self._common, given = split_parameters(parameters, nodes, policies)
-        self.namespace = namespace
+        self.namespace = graph_namespace(namespace)
         self.children: list[Child] = []
         for launch in policies:
             self._add(launch.namespace, (), (launch,), given)
@@ -110,7 +111,10 @@ class Supervisor:
 
     def node_names(self) -> list[str]:
         """Return the full names of the nodes."""
-        return [f"{self.namespace}/{child.name}{'' if child.config.nodes else '/policy'}" for child in self.children]
+        return [
+            f"{self.namespace}/{child.name.strip('/')}{'' if child.config.nodes else '/policy'}"
+            for child in self.children
+        ]
 
     def wait_until_ready(self) -> None:
         """Wait until every node is in the graph.

@@ -5,6 +5,7 @@ from roboxim_interfaces.action import RunEpisodes
 from roboxim_interfaces.msg import RunConfig as RunConfigMsg
 from roboxim_interfaces.srv import RunEpisodes as RunEpisodesService
 
+from roboxim_bringup import supervisor
 from roboxim_bringup.graph import NODES, PolicyLaunch, node_class, start_graph
 from roboxim_core.episode import EpisodeResult, RunConfig
 from roboxim_core.errors import ConfigError, InvalidRequestError, RequestTimeoutError
@@ -56,6 +57,13 @@ def test_unknown_names_are_refused_with_a_suggestion():
             start_graph(host, parameters={"simm": {}}, nodes=["recorder"])
         with pytest.raises(ConfigError, match="no parameter 'renderr' of sim.*did you mean 'renderer'"):
             start_graph(host, parameters={"sim": {"renderr": "tiny", "renderer": "tiny"}}, nodes=["sim"])
+
+
+@pytest.mark.parametrize(("namespace", "prefix"), [("", ""), ("/", ""), ("/w0", "/w0"), ("w0/", "/w0")])
+def test_a_supervisor_waits_for_the_names_that_the_graph_has(monkeypatch, namespace, prefix):
+    monkeypatch.setattr(supervisor, "_start", lambda config: (None, -1))
+    made = supervisor.Supervisor(["sim"], [PolicyLaunch(spec="random", namespace="/mine")], namespace=namespace)
+    assert made.node_names() == [f"{prefix}/mine/policy", f"{prefix}/sim"]
 
 
 def test_policy_of_a_graph_serves_in_its_namespace():

@@ -18,7 +18,7 @@ import json
 import os
 import re
 import secrets
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -156,7 +156,7 @@ class Run:
     @property
     def live_pids(self) -> tuple[int, ...]:
         """Ids of the run's live processes."""
-        return tuple(pid for pid, start in zip(self.pids, self.births, strict=True) if _start_time(pid) == start)
+        return _live_pids(self.pids, self.births)
 
     @property
     def environment(self) -> dict[str, str]:
@@ -191,12 +191,31 @@ def _write(run: Run) -> None:
 
 
 def _read(path: Path) -> Run | None:
+    return _run(_content(path))
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """Return what a file of the registry says; nothing, if it is removed or damaged."""
     try:
         data = json.loads(path.read_text())
-        values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
+    except (OSError, ValueError):
+        return {}
+    whole = isinstance(data, dict) and all(isinstance(data.get(key), list) for key in ("pids", "births"))
+    return data if whole else {}
+
+
+def _run(data: dict[str, Any]) -> Run | None:
+    """Return a run, without fields of later versions; none if an earlier version lacks one."""
+    fields = {field.name for field in dataclasses.fields(Run)}
+    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items() if k in fields}
+    try:
         return Run(**values)
-    except (OSError, ValueError, TypeError):  # removed, or of another version
+    except TypeError:
         return None
+
+
+def _live_pids(pids: Iterable[int], births: Iterable[int]) -> tuple[int, ...]:
+    return tuple(pid for pid, start in zip(pids, births, strict=False) if _start_time(pid) == start)
 
 
 def check_run_id(run_id: str | None) -> None:
@@ -212,8 +231,6 @@ def check_run_id(run_id: str | None) -> None:
 
 
 def _require_apart(run: Run, other: Run) -> None:
-    if other.id == run.id:
-        raise ConfigError(f"a run named '{run.id}' is alive already; choose another name or end it (roboxim down)")
     shared = set(run.namespaces) & set(other.namespaces)
     if other.domain == run.domain and shared:
         raise ConfigError(
@@ -236,7 +253,7 @@ def register_run(
     Args:
         kind: Command that starts it: ``up``, ``generate``, ...
         domain: ROS domain.
-        namespaces: Namespaces of its graphs.
+        namespaces: Namespaces of its graphs, e.g. ``/w0``; empty or ``/``: the root.
         run_id: Name of the run; none: a new name.
         folder: Folder that its episodes are recorded in; empty: none.
 
@@ -250,14 +267,17 @@ def register_run(
         domain=domain,
         transport=os.environ.get("ROBOXIM_TRANSPORT", "user"),
         kind=kind,
-        namespaces=tuple(namespaces),
+        namespaces=tuple(namespace.rstrip("/") for namespace in namespaces),
         started=datetime.now(UTC).isoformat(timespec="seconds"),
         pids=(os.getpid(),),
         births=(_start_time(os.getpid()) or 0,),
         folder=str(Path(folder).absolute()) if str(folder) else "",
     )
     with _lock():
-        for other in _live():
+        others = _live()
+        if _file(run.id).exists():
+            raise ConfigError(f"a run named '{run.id}' is alive already; choose another name or end it (roboxim down)")
+        for other in others:
             _require_apart(run, other)
         _write(run)
     try:
@@ -295,7 +315,7 @@ def _with_pids(run: Run, pids: Sequence[int]) -> Run:
 
 
 def live_runs() -> list[Run]:
-    """Return the live runs, oldest first, and remove dead ones from the registry."""
+    """Return the live runs, oldest first, and remove dead ones from the registry; those of other versions too."""
     with _lock():
         return _live()
 
@@ -303,11 +323,11 @@ def live_runs() -> list[Run]:
 def _live() -> list[Run]:
     found = []
     for path in runtime_dir().glob("*.json"):
-        run = _read(path)
-        if run is not None and run.live_pids:
-            found.append(run)
-        else:
+        data = _content(path)
+        if not _live_pids(data.get("pids", ()), data.get("births", ())):
             path.unlink(missing_ok=True)
+        elif (run := _run(data)) is not None:
+            found.append(run)
     return sorted(found, key=lambda run: (run.started, run.id))
 
 

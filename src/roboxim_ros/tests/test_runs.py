@@ -65,6 +65,8 @@ def test_two_runs_never_share_names_in_a_domain():
     with runs.register_run("up", domain=7, namespaces=("", "/w0")) as one:
         with pytest.raises(ConfigError, match=f"'{one.id}' is alive in domain 7 with namespace '/w0'"):
             runs.register_run("up", domain=7, namespaces=("/w0",)).__enter__()
+        with pytest.raises(ConfigError, match="with namespace '/'"):
+            runs.register_run("up", domain=7, namespaces=("/",)).__enter__()
         with runs.register_run("up", domain=7, namespaces=("/w1",)), runs.register_run("up", domain=8):
             assert len(runs.live_runs()) == 3
     with runs.register_run("up", domain=7):
@@ -100,9 +102,25 @@ def test_run_lives_as_long_as_one_of_its_processes():
     assert runs.live_runs() == []
 
 
-def test_damaged_file_is_no_run():
-    (runs.runtime_dir() / "bad.json").write_text('{"id": "bad"')
+@pytest.mark.parametrize("content", ['{"id": "bad"', "[1]", '{"pids": [1], "births": ["x"]}', '{"pids": 1}'])
+def test_damaged_file_is_no_run(content):
+    (runs.runtime_dir() / "bad.json").write_text(content)
     assert runs.live_runs() == []
+
+
+def test_live_runs_of_other_versions_are_kept():
+    with runs.register_run("up", domain=7) as run:
+        file = runs.runtime_dir() / f"{run.id}.json"
+        data = json.loads(file.read_text())
+        later, earlier = file.with_name("later.json"), file.with_name("earlier.json")
+        later.write_text(json.dumps({**data, "id": "later", "colour": "red"}))
+        earlier.write_text(json.dumps({key: value for key, value in data.items() if key != "namespaces"}))
+        assert {live.id for live in runs.live_runs()} == {run.id, "later"}
+        with pytest.raises(ConfigError, match="'earlier' is alive already"):
+            runs.register_run("up", domain=8, run_id="earlier").__enter__()
+        assert earlier.exists()
+        for path in (later, earlier):
+            path.unlink()
 
 
 def test_runtime_dir_is_private_and_never_a_link(tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from roboxim_bringup.attach import Peer, absolute, attach_options, on_graph
+from roboxim_bringup.attach import Peer, absolute, attach_options, graph_namespace, on_graph
 from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
 
@@ -102,7 +102,7 @@ def run_node(
     from roboxim_ros.host import NodeHost, wait_for_stop
 
     label = name or policies[0].namespace
-    namespace = namespace and absolute(namespace)
+    namespace = graph_namespace(namespace)
     from_files = read_params_files(params_files, namespace=namespace)
     own_values = {node: values for node, values in from_files.items() if node == label}
     common = from_files.get("", {})

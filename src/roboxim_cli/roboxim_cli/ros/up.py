@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from roboxim_bringup.attach import absolute
+from roboxim_bringup.attach import graph_namespace
 from roboxim_bringup.graph import NODES
 from roboxim_cli import strict
 from roboxim_cli.named import Named
@@ -60,7 +60,7 @@ def command(
     from roboxim_bringup.parameters import merge, parse_assignments, parse_policy, read_params_files
     from roboxim_ros.runs import activate_transport, extend_run, free_domain, register_run
 
-    namespace = namespace and absolute(namespace)
+    namespace = graph_namespace(namespace)
     parameters = merge(read_params_files(params_files, namespace=namespace), parse_assignments(assignments))
     policies = [parse_policy(word) for word in policy_specs]
     activate_transport(open_network=open_network)

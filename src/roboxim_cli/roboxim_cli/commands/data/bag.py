@@ -131,12 +131,13 @@ def play(
 
     The messages go to the only live run (or --run). Without a live run, the player starts its own.
     """
-    from roboxim_bringup.attach import Peer
+    from roboxim_bringup.attach import Peer, graph_namespace
     from roboxim_cli.ros.node import membership
     from roboxim_recorder.bag import mcap_file
 
     file = mcap_file(path)
     types = _types(file)
+    namespace = graph_namespace(namespace)
     with membership("play", run_id, domain, open_network=False, namespace=namespace) as member:
         peer = Peer()
         try:
@@ -174,9 +175,9 @@ def _publishers(peer: Any, types: dict[str, str], topics: tuple[str, ...], names
     for topic in wanted:
         if topic not in types:
             raise ConfigError(f"the bag has no topic '{topic}'; {one_of(types, topic)}")
-    prefix = absolute(namespace.strip("/")) if namespace.strip("/") else ""
     return {
-        topic: peer.node.create_publisher(look_up(types[topic], "msg"), f"{prefix}{topic}", SENSOR) for topic in wanted
+        topic: peer.node.create_publisher(look_up(types[topic], "msg"), f"{namespace}{topic}", SENSOR)
+        for topic in wanted
     }
 
 
