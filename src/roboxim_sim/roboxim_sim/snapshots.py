@@ -55,17 +55,18 @@ class Snapshot:
             )
 
     def scene_now(self, library: ModelLibrary) -> SceneSpec:
-        """Return a scene that starts at the snapshot's poses and joint positions, without velocities.
+        """Return a scene that starts at the snapshot's poses and measured joint positions, without velocities.
 
         Args:
             library: Source of the joint limits, which the physics may have exceeded slightly.
         """
-        robot = self.record.robot
+        robot, ends = self.record.robot, library.robot(self.scene.robot.model).limits
+        joints = tuple(map(_clamped, robot.joint_positions, ends.lower, ends.upper))
         opening = min(1.0, max(0.0, robot.gripper_opening))
         return replace(
             self.scene,
             entities=tuple(self._entity_now(spec, library) for spec in self.scene.entities),
-            robot=replace(self.scene.robot, joint_positions=robot.joint_commands, gripper_opening=opening),
+            robot=replace(self.scene.robot, joint_positions=joints, gripper_opening=opening),
             settle_steps=0,
         )
 
@@ -73,7 +74,11 @@ class Snapshot:
         state = self.record.entity(spec.name)
         ends = {joint.name: (joint.lower, joint.upper) for joint in library.entity_model(spec).joints}
         positions = {
-            name: min(max(position, ends[name][0]), ends[name][1])
+            name: _clamped(position, *ends[name])
             for name, position in zip(state.joint_names, state.joint_positions, strict=True)
         }
         return replace(spec, pose=state.pose, joint_positions=positions)
+
+
+def _clamped(value: float, lower: float, upper: float) -> float:
+    return min(max(value, lower), upper)

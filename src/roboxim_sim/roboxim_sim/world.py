@@ -373,7 +373,9 @@ class World(EpisodeWorld):
     def _restore_poses(self, snapshot: Snapshot, episode_id: str) -> StateRecord:
         record = snapshot.record
         self.load(snapshot.scene_now(self.library), episode_id, snapshot.semantics)
-        self._command = replace(self._command, gripper=record.robot.gripper_command)
+        commands, gripper = record.robot.joint_commands, record.robot.gripper_command
+        pose = self._controller.arm.fk(commands)
+        self._command = replace(self._command, joints=commands, pose=pose, gripper=gripper)
         self._seq = record.seq
         self._steps = round(record.stamp_ns / self._step_ns)
         return self._disturb()

@@ -196,7 +196,7 @@ def test_interference_is_marked_and_restores_only_approximately(world: World) ->
     record = world.set_entity_state("cube_0", target)
     assert record.disturbed
     assert record.entity("cube_0").pose.position == pytest.approx(target.position)
-    record = world.tick(2, hold_action(1.0))
+    record = world.tick(2, [0.02, 0.0, -0.02, 0.0, 0.0, 0.0, 1.0])  # the arm lags behind its command
     assert record.disturbed
     snapshot = world.snapshot()
     with pytest.raises(SimError, match="approximate=True"):
@@ -205,6 +205,9 @@ def test_interference_is_marked_and_restores_only_approximately(world: World) ->
     assert restored.disturbed
     assert (restored.seq, restored.stamp_ns) == (2, record.stamp_ns)
     assert distance(restored.entity("cube_0").pose, record.entity("cube_0").pose)[0] < 1e-4
+    assert restored.robot.joint_positions == pytest.approx(record.robot.joint_positions, abs=1e-6)
+    assert restored.robot.joint_commands == record.robot.joint_commands
+    assert distance(restored.robot.pose_tcp_commanded, record.robot.pose_tcp_commanded)[0] < 1e-6
 
 
 def test_entities_come_and_go(world: World) -> None:
