@@ -98,6 +98,15 @@ def test_a_single_value_stands_for_a_list(library):
         parse_task_config(text.replace("0.6", "bright"))
 
 
+def test_a_tasks_images_are_found_by_processes_in_other_folders(tmp_path):
+    (tmp_path / "photo.png").touch()
+    file = tmp_path / "own.yaml"
+    file.write_text("skill: pick_up  # mine\nreset: {surfaces: {wall: {texture: ./photo.png}}}\n")
+    assert f"texture: {tmp_path / 'photo.png'}" in task_text(str(file))
+    file.write_text("skill: pick_up  # mine\nreset: {surfaces: {wall: {texture: marble}}}\n")
+    assert task_text(str(file)) == file.read_text()
+
+
 def test_suites_are_versioned_and_balanced():
     for name, version, episodes, cells in (("core", 1, 70, 14), ("language", 2, 70, 16), ("clutter", 1, 70, 14)):
         config = EvaluationConfig(policies="zero", suite=name)

@@ -18,6 +18,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from roboxim_core.models.description import GripperModel
+from roboxim_core.models.mesh_files import file_stamp
 from roboxim_core.models.urdf import joint_axis, origin_pose, urdf_root
 from roboxim_core.poses import Array, Pose
 
@@ -37,7 +38,6 @@ class PhysicsUrdf:
     """Link that became part of another one to that one."""
 
 
-@lru_cache(maxsize=8)
 def physics_urdf(urdf: Path, gripper: GripperModel) -> PhysicsUrdf:
     """Write a copy of a URDF for PyBullet.
 
@@ -51,6 +51,11 @@ def physics_urdf(urdf: Path, gripper: GripperModel) -> PhysicsUrdf:
     Raises:
         ConfigError: When the URDF cannot be read, or an axis is not one.
     """
+    return _physics_urdf(urdf, gripper, file_stamp(urdf))
+
+
+@lru_cache(maxsize=8)
+def _physics_urdf(urdf: Path, gripper: GripperModel, _stamp: tuple[int, int]) -> PhysicsUrdf:
     root = urdf_root(urdf)
     for link in root.findall("link"):
         for shape in link.findall("visual"):

@@ -7,13 +7,13 @@ from functools import lru_cache
 from pathlib import Path
 
 from roboxim_core.config import config_dir
+from roboxim_core.models.mesh_files import file_stamp
 from roboxim_core.models.urdf import mesh_path
 
 PACKAGE = "roboxim_core"
 """ROS package whose share folder contains ``config/robots``."""
 
 
-@lru_cache(maxsize=8)
 def robot_description(urdf: Path) -> str:
     """Return a URDF whose mesh names RViz and Foxglove can resolve.
 
@@ -24,6 +24,11 @@ def robot_description(urdf: Path) -> str:
     Args:
         urdf: The robot's URDF.
     """
+    return _description(urdf, file_stamp(urdf))
+
+
+@lru_cache(maxsize=8)
+def _description(urdf: Path, _stamp: tuple[int, int]) -> str:
     own = config_dir().resolve()
 
     def resolved(match: re.Match[str]) -> str:

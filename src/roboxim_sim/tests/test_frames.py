@@ -115,6 +115,8 @@ def test_meshes_of_a_users_robot_have_full_paths(tmp_path: Path) -> None:
     text = robot_description(urdf)
     assert f'"file://{tmp_path}/mine/link.stl"' in text
     assert f'"file://{tmp_path}/mine/near.stl"' in text
+    urdf.write_text(urdf.read_text().replace("near.stl", "another.stl"))
+    assert "another.stl" in robot_description(urdf), "a changed file is read again"
 
 
 @pytest.mark.ros

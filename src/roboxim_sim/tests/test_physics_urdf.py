@@ -66,6 +66,7 @@ def test_a_finger_with_a_long_axis_slides_alike_in_both_engines(tmp_path: Path) 
     urdf.write_text(text.replace(axis, '<axis xyz="0 7 0"/>').replace("<visual>", '<visual name="seen">'))
     made = physics_urdf(urdf, model.gripper).file
     assert "<visual" not in made.read_text()
+    assert physics_urdf(urdf, model.gripper).file == made
     robot = pin.buildModelFromUrdf(str(urdf))
     data, q = robot.createData(), pin.neutral(robot)
     (finger, _), tip = model.gripper.joint_names, model.gripper.links[1]
@@ -93,3 +94,12 @@ def _without_meshes(urdf: Path) -> Path:
     bare = urdf.with_name("bare.urdf")
     ElementTree.ElementTree(root).write(bare)
     return bare
+
+
+def test_a_changed_urdf_is_copied_again(tmp_path: Path) -> None:
+    model = LIBRARY.robot("panda")
+    urdf = tmp_path / "panda.urdf"
+    urdf.write_text(model.urdf.read_text())
+    before = physics_urdf(urdf, model.gripper).file
+    urdf.write_text(model.urdf.read_text() + "<!-- changed -->")
+    assert physics_urdf(urdf, model.gripper).file != before

@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.vision.cameras import load_camera
+from roboxim_core.vision.textures import pixels
 from roboxim_tasks.config import load_task_config, parse_task_config
 
 VIEWS = """
@@ -122,3 +124,24 @@ def test_a_camera_that_the_task_varies_keeps_its_place_under_a_look(draw) -> Non
     assert under.scene.cameras[0].noise.exposure_ev == pytest.approx(
         float(under.task.drawn["camera.workspace.exposure_ev"]), abs=0.01
     )
+
+
+def test_images_of_textures_are_relative_to_the_file_that_names_them(draw, tmp_path, monkeypatch) -> None:
+    own = tmp_path / "config #2"
+    for name in ("tasks", "scenes", "looks", "objects"):
+        (own / name).mkdir(parents=True)
+        Image.new("RGB", (2, 2), (0, 200, 0)).save(own / name / "green.png")
+    (own / "scenes" / "green.yaml").write_text("look: {table: {texture: ./green.png}}\n")
+    (own / "looks" / "green.yaml").write_text("looks: {only: {table: {texture: green.png}}}\n")
+    surface = "reset: {surfaces: {table: {texture: {values: [../tasks/green.png]}}}}\n"
+    for name, text in (("own", surface), ("by_look", "reset: {look: {set: green}}\n"), ("by_scene", "scene: green\n")):
+        (own / "tasks" / f"{name}.yaml").write_text(f"skill: pick_up\n{text}")
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(own))
+    monkeypatch.chdir(tmp_path)
+    for name, folder in (("own", "tasks"), ("by_look", "looks"), ("by_scene", "scenes")):
+        texture = draw(0, load_task_config(name)).scene.look.table.texture
+        assert texture == str(own / folder / "green.png")
+        assert pixels(texture)[0, 0].tolist() == [0, 194, 0]
+    (own / "tasks" / "own.yaml").write_text(f"skill: pick_up\n{surface.replace('green', 'red')}")
+    with pytest.raises(ConfigError, match=r"texture: no such file: .*/tasks/red.png"):
+        load_task_config("own")

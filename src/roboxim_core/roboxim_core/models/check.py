@@ -16,7 +16,8 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.bounds import links_bounds, shape_bounds
 from roboxim_core.models.description import GraspAnnotation, ObjectModel, Shape, Visual
-from roboxim_core.models.hulls import load_mesh, mesh_references
+from roboxim_core.models.hulls import load_mesh
+from roboxim_core.models.mesh_files import mesh_references
 from roboxim_core.models.object_config import ObjectConfig
 from roboxim_core.models.urdf import urdf_root
 from roboxim_core.models.visuals import visual_parts

@@ -7,19 +7,17 @@ simulator and the planner therefore read the same shape; in PyBullet its surface
 from __future__ import annotations
 
 import hashlib
-import json
 import os
-import re
 import tempfile
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import unquote
 
 import numpy as np
 
 from roboxim_core.errors import ConfigError
-from roboxim_core.models.surfaces import paint
+from roboxim_core.models.mesh_files import Stamp, mesh_references, mesh_stamp, read_scene, refuse_moved_images
+from roboxim_core.models.surfaces import paint, refuse_transparency
 from roboxim_core.poses import Array
 from roboxim_core.user_folders import cache_dir
 
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
     import trimesh
 
 
-Stamp = tuple[tuple[int, int], ...]
-"""Times [ns] and sizes [bytes] of files: the key by which what was read of them is kept."""
 LARGEST = 1e6
 """Largest coordinate of a mesh, in the file's units."""
 UNIT_FORMATS = (".dae", ".zae", ".3mf", ".3dxml", ".xaml")
@@ -46,12 +42,14 @@ def load_scene(path: Path | str, *, merge: bool = False) -> trimesh.Scene:
         merge: Whether equal vertices become one, of formats other than glTF.
 
     Raises:
-        ConfigError: When it cannot be read, or a part has wrong vertices or faces.
+        ConfigError: When it cannot be read, a part has wrong vertices or faces, or a surface would be drawn wrongly: it
+            is transparent, or its image is moved or repeated.
     """
     import trimesh
 
+    refuse_moved_images(Path(path))
     try:
-        scene = trimesh.load_scene(path) if merge else trimesh.load_scene(path, process=False)
+        scene = read_scene(path, merge=merge)
         unit = next((str(part.units) for part in scene.geometry.values() if part.units), "m")
         if (metres := trimesh.units.unit_conversion(unit, "m")) != 1.0:
             scene.apply_transform(np.diag([metres, metres, metres, 1.0]))
@@ -60,6 +58,7 @@ def load_scene(path: Path | str, *, merge: bool = False) -> trimesh.Scene:
     for part in scene.geometry.values():
         if isinstance(part, trimesh.Trimesh):
             _check(part, path)
+            refuse_transparency(part, path)
             paint(part)
     return scene
 
@@ -144,50 +143,6 @@ def hull_of(path: Path | str) -> trimesh.Trimesh:
     if flat:
         raise ConfigError(f"the mesh {path} is flat: its convex hull has no volume; use a box for its collision")
     return hull
-
-
-def mesh_stamp(path: Path | str) -> Stamp:
-    """Return time and size of a mesh file and of the files that it names; a missing file has zeros."""
-    return tuple(file_stamp(file) for file in (Path(path), *mesh_references(Path(path)).values()))
-
-
-def mesh_references(path: Path) -> dict[str, Path]:
-    """Return the files that a mesh file names, by name, whether they exist or not.
-
-    These are the material files of an OBJ file and their colour images, and the buffers and images of a glTF file;
-    empty for other formats.
-    """
-    return _references(path, file_stamp(path))
-
-
-def file_stamp(file: Path) -> tuple[int, int]:
-    """Return time [ns] and size [bytes] of a file; zeros if it is missing."""
-    try:
-        at = file.stat()
-    except OSError:
-        return 0, 0
-    return at.st_mtime_ns, at.st_size
-
-
-@lru_cache(maxsize=256)
-def _references(path: Path, _at: tuple[int, int]) -> dict[str, Path]:
-    if path.suffix.lower() == ".gltf" and path.is_file():
-        try:
-            content = json.loads(path.read_bytes())
-            entries = [entry for kind in ("buffers", "images") for entry in content.get(kind, ())]
-            names = [unquote(entry["uri"]) for entry in entries if not entry.get("uri", "data:").startswith("data:")]
-        except (ValueError, AttributeError, TypeError):  # its reader says what is wrong
-            return {}
-        return {name: path.parent / name for name in names}
-    if path.suffix.lower() != ".obj" or not path.is_file():
-        return {}
-    found = {}
-    for library in re.findall(r"^mtllib\s+(.+?)\s*$", path.read_text(errors="replace"), flags=re.M):
-        file = found[library] = path.parent / library
-        if file.is_file():
-            images = re.findall(r"^\s*map_Kd\s+(.+?)\s*$", file.read_text(errors="replace"), flags=re.M)
-            found |= {image: path.parent / image for image in images}
-    return found
 
 
 @lru_cache(maxsize=128)

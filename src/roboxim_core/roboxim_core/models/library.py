@@ -20,7 +20,7 @@ from roboxim_core.config import load_config
 from roboxim_core.config_folders import config_dirs, config_sets
 from roboxim_core.errors import ConfigError, ErrorCode, nearest, one_of
 from roboxim_core.models.description import ObjectModel, RobotModel
-from roboxim_core.models.hulls import Stamp, file_stamp
+from roboxim_core.models.mesh_files import Stamp, file_stamp
 from roboxim_core.models.modifiers import ModifierModel, modified
 from roboxim_core.models.object_config import ObjectConfig
 from roboxim_core.specs import EntitySpec, Scalar, SceneSpec

@@ -24,9 +24,11 @@ from roboxim_core.models.description import (
     Shape,
     Visual,
 )
-from roboxim_core.models.hulls import hull_file, mesh_references
+from roboxim_core.models.hulls import hull_file
+from roboxim_core.models.mesh_files import mesh_references
 from roboxim_core.models.modifiers import ModifierModel
 from roboxim_core.models.urdf import LARGEST, urdf_object
+from roboxim_core.plain_data.pictures import is_picture
 from roboxim_core.poses import Array, Pose, Vec3
 from roboxim_core.rotation.quaternions import quat_about
 
@@ -207,7 +209,7 @@ class ObjectConfig(ObjectNotes):
         names = [self.urdf]
         for link in self.resolved(folder).links:
             names += [shape.mesh for shape in link.collision] + [visual.mesh for visual in link.visual]
-            names += [v.material.texture for v in link.visual if Path(v.material.texture).suffix.lower() in _IMAGES]
+            names += [v.material.texture for v in link.visual if is_picture(v.material.texture)]
         found = [(folder / name).resolve() for name in dict.fromkeys(names) if name]
         for file in found:
             found += [other for other in mesh_references(file).values() if other not in found]
@@ -281,16 +283,13 @@ Piece = TypeVar("Piece", Shape, Visual)
 
 
 def _absolute(shape: Piece, folder: Path) -> Piece:
-    if isinstance(shape, Visual) and Path(shape.material.texture).suffix.lower() in _IMAGES:
+    if isinstance(shape, Visual) and is_picture(shape.material.texture):
         texture = str((folder / shape.material.texture).resolve())
         shape = replace(shape, material=replace(shape.material, texture=texture))
     if not shape.mesh:
         return shape
     file = str((folder / shape.mesh).resolve())
     return replace(shape, mesh=hull_file(file) if isinstance(shape, Shape) else file)
-
-
-_IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp")
 
 
 def _bounds(links: tuple[LinkModel, ...], joints: tuple[JointModel, ...], object_id: str) -> Array:

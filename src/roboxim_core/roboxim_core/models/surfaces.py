@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core.errors import ConfigError
 from roboxim_core.models.meshes import triangles
 from roboxim_core.poses import Array
 from roboxim_core.specs import MaterialSpec
@@ -88,6 +89,27 @@ def material_of(mesh: trimesh.Trimesh, name: str, *, linear: bool) -> MaterialSp
         r, g, b = (float(c) / 255 for c in material.diffuse[:3])
         return MaterialSpec(color=(1.0, 1.0, 1.0) if texture else (r, g, b), texture=texture)
     return MaterialSpec()
+
+
+def refuse_transparency(mesh: trimesh.Trimesh, path: Path | str) -> None:
+    """Refuse a glTF material that is transparent somewhere, which would be drawn opaque.
+
+    Raises:
+        ConfigError: Naming the file, the material and what to do.
+    """
+    from trimesh.visual.material import PBRMaterial
+
+    material = getattr(mesh.visual, "material", None)
+    if not isinstance(material, PBRMaterial) or material.alphaMode in (None, "OPAQUE"):
+        return
+    factor, image = material.baseColorFactor, material.baseColorTexture
+    seen = image is not None and ("A" in image.getbands() or "transparency" in image.info)
+    least = image.convert("RGBA").getchannel("A").getextrema()[0] if seen else 255
+    if least < 255 or (factor is not None and factor[3] < 255):
+        raise ConfigError(
+            f"the mesh {path} has a transparent material '{material.name}' (alphaMode {material.alphaMode}), which is "
+            "not drawn; make it OPAQUE, and cut away what must not be seen"
+        )
 
 
 def paint(mesh: trimesh.Trimesh) -> None:

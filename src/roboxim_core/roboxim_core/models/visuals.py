@@ -20,8 +20,9 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.articulation import object_link_poses
 from roboxim_core.models.description import Visual
-from roboxim_core.models.hulls import Stamp, load_scene, mesh_stamp
+from roboxim_core.models.hulls import load_scene
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.mesh_files import Stamp, file_stamp, mesh_stamp
 from roboxim_core.models.meshes import box_mesh, triangles, visual_generators
 from roboxim_core.models.surfaces import is_linear, visual_parts_of
 from roboxim_core.models.urdf import urdf_materials, urdf_visual
@@ -65,7 +66,6 @@ def _mesh_parts(visual: Visual, *, linear: bool) -> tuple[VisualPart, ...]:
     return tuple(_placed(_stretched(part, visual.scale), visual.pose) for part in parts)
 
 
-@lru_cache(maxsize=16)
 def robot_parts(urdf: Path, mesh_colors: str) -> dict[str, tuple[VisualPart, ...]]:
     """Return the visuals of each link of a robot, from its URDF; links without visuals are omitted.
 
@@ -76,6 +76,21 @@ def robot_parts(urdf: Path, mesh_colors: str) -> dict[str, tuple[VisualPart, ...
     Raises:
         ConfigError: When a mesh of the URDF cannot be read.
     """
+    stamp = file_stamp(urdf)
+    files = _robot_meshes(urdf, stamp)
+    return _robot_parts(urdf, mesh_colors, (stamp, *(each for file in files for each in mesh_stamp(file))))
+
+
+@lru_cache(maxsize=16)
+def _robot_meshes(urdf: Path, _stamp: tuple[int, int]) -> tuple[str, ...]:
+    root = ElementTree.parse(urdf).getroot()
+    materials = urdf_materials(root)
+    meshes = (element for element in root.iter("visual") if element.find("geometry/mesh") is not None)
+    return tuple(dict.fromkeys(urdf_visual(element, urdf, materials).mesh for element in meshes))
+
+
+@lru_cache(maxsize=16)
+def _robot_parts(urdf: Path, mesh_colors: str, _stamp: Stamp) -> dict[str, tuple[VisualPart, ...]]:
     parts: dict[str, tuple[VisualPart, ...]] = {}
     root = ElementTree.parse(urdf).getroot()
     materials = urdf_materials(root)
@@ -92,7 +107,7 @@ def robot_parts(urdf: Path, mesh_colors: str) -> dict[str, tuple[VisualPart, ...
 
 
 @lru_cache(maxsize=16)
-def _drawn_links(urdf: Path) -> frozenset[str]:
+def _drawn_links(urdf: Path, _stamp: tuple[int, int]) -> frozenset[str]:
     links = ElementTree.parse(urdf).getroot().iter("link")
     return frozenset(link.get("name", "") for link in links if link.find("visual") is not None)
 
@@ -149,6 +164,7 @@ class ScenePoses:
         self.library = library
         """Where the models come from."""
         self._arm = arm or ArmKinematics(library.robot(scene.robot.model))
+        self._drawn = _drawn_links(self._arm.model.urdf, file_stamp(self._arm.model.urdf))
         self._models = {entity.name: library.entity_model(entity) for entity in scene.entities}
         self._last: tuple[RobotState, dict[str, Pose]] | None = None
         self._last_objects: tuple[StateRecord, dict[str, Pose]] | None = None
@@ -168,7 +184,7 @@ class ScenePoses:
 
     def body_poses(self, record: StateRecord) -> dict[str, Pose]:
         """Return the pose of every moving body of `render_world` in the world, by key."""
-        drawn = _drawn_links(self._arm.model.urdf)
+        drawn = self._drawn
         poses = {f"robot/{link}": pose for link, pose in self.link_poses(record.robot).items() if link in drawn}
         return poses | self.object_poses(record)
 

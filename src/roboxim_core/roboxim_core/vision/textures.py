@@ -16,14 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.models.mesh_files import Stamp, mesh_stamp, read_scene
 from roboxim_core.registry import Registry
 from roboxim_core.vision.srgb import to_linear
 
 if TYPE_CHECKING:
     import trimesh
     from PIL import Image
-
-    from roboxim_core.models.hulls import Stamp
 
 Field = npt.NDArray[np.float64]
 Pixels = npt.NDArray[np.uint8]
@@ -55,9 +54,14 @@ def pixels(name: str) -> Pixels:
 
 def texture_stamp(name: str) -> Stamp:
     """Return times and sizes of a texture's files; empty for a registered name. Arguments as of `pixels`."""
-    from roboxim_core.models.hulls import mesh_stamp  # which imports this module
+    return mesh_stamp(file_of(name)[0]) if "/" in name else ()
 
-    return mesh_stamp(_split(name)[0]) if "/" in name else ()
+
+def file_of(name: str) -> tuple[Path, str]:
+    """Return the file of a texture that is named by a path, and the geometry in it; empty: the file is the image."""
+    cuts = [place for place, letter in enumerate(name) if letter == "#"]  # a folder's name may have one, too
+    cut = next((place for place in cuts if Path(name[:place]).is_file()), len(name))
+    return Path(name[:cut]), name[cut + 1 :]
 
 
 @lru_cache(maxsize=64)
@@ -73,21 +77,13 @@ def _pixels(name: str, _stamp: Stamp) -> Pixels:
     return np.ascontiguousarray(image) if image.ndim == 3 else np.broadcast_to(image[..., None], (SIZE, SIZE, 3))
 
 
-def _split(name: str) -> tuple[str, str]:
-    """Return the file of a texture and the geometry in it; empty: the file is the image."""
-    cuts = [place for place, letter in enumerate(name) if letter == "#"]  # a folder's name may have one, too
-    cut = next((place for place in cuts if Path(name[:place]).is_file()), len(name))
-    return name[:cut], name[cut + 1 :]
-
-
 def _image(name: str) -> Image.Image:
-    path, geometry = _split(name)
-    import trimesh  # imported here: it costs 0.5 s and 20 MiB, and procedural textures do not need it
     from PIL import Image, ImageOps
 
+    path, geometry = file_of(name)
     try:
         if geometry:
-            geometries = trimesh.load_scene(path, process=False).geometry
+            geometries = read_scene(path).geometry
             image = base_color_image(geometries[geometry]) if geometry in geometries else None
         else:
             geometries, image = {}, ImageOps.exif_transpose(Image.open(path))

@@ -7,10 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from roboxim_core.models.check import check_object
+from roboxim_core.models.description import Visual
 from roboxim_core.models.library import ModelLibrary
-from roboxim_core.models.visuals import visual_parts
+from roboxim_core.models.visuals import robot_parts, visual_parts
+from roboxim_core.vision.textures import pixels
 
 
 def write(folder: Path, name: str, side: float) -> None:
@@ -61,3 +64,23 @@ def test_a_missing_buffer_or_image_of_gltf_is_named(tmp_path: Path) -> None:
         file.unlink()
     (tmp_path / "it.yaml").write_text("name: it\nmesh: a.gltf\nmass: 0.1\n")
     assert "a.gltf needs the buffer" in check_object(tmp_path / "it.yaml")[0][0].message
+
+
+def test_a_changed_image_or_robot_is_read_again(tmp_path: Path) -> None:
+    """The image of a material, of a mesh file, and what is drawn of a robot."""
+    shown = []
+    for grey, side in ((40, 0.1), (200, 0.125)):
+        write(tmp_path, "a.stl", side)
+        Image.new("RGB", (2, 2), (grey,) * 3).save(tmp_path / "skin.png", compress_level=grey // 40)
+        (tmp_path / "a.mtl").write_text("newmtl m\nmap_Kd skin.png\n")
+        (tmp_path / "a.obj").write_text("mtllib a.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n")
+        (tmp_path / "r.urdf").write_text(
+            '<robot name="r"><link name="a"><visual><geometry><mesh filename="a.stl"/></geometry></visual></link>'
+            f'<link name="{side}"/></robot>'
+        )
+        (part,) = visual_parts(Visual(kind="mesh", mesh=str(tmp_path / "a.obj")))
+        (link,) = robot_parts(tmp_path / "r.urdf", "linear")["a"]
+        images = [pixels(name)[0, 0, 0] for name in (str(tmp_path / "skin.png"), part.material.texture)]
+        shown.append((*images, np.ptp(link.mesh.vertices, axis=0)[0]))
+    assert all(before != after for before, after in zip(*shown, strict=True))
+    assert shown[1][2] == pytest.approx(0.125)

@@ -13,6 +13,7 @@ import trimesh
 from PIL import Image
 from trimesh.visual.material import PBRMaterial
 
+from roboxim_core.errors import ConfigError
 from roboxim_core.models.check import check_object
 from roboxim_core.models.description import Visual
 from roboxim_core.models.hulls import hull_file, load_mesh
@@ -153,3 +154,76 @@ def test_an_image_in_a_folder_of_any_name_is_found(tmp_path):
     box(baseColorTexture=Image.new("RGB", (4, 4), (255, 0, 0))).export(folder / "a b.glb")
     (part,) = parts_of(folder / "a b.glb")
     assert (pixels(part.material.texture) == [255, 0, 0]).all()
+
+
+@pytest.mark.parametrize(
+    ("value", "drawn"),
+    [
+        ("wood.png", True), ("-s 1 1 1 wood.png", True), ("-blendu on -clamp off -bm 1.0 wood.png", True),
+        ("-o 0 0 0 -s 1 1 a wood.png", True), ("..\\up.png", True), ("../up.png", True),
+        ("-s 2 2 1 wood.png", False), ("-o 0.5 0 wood.png", False), ("-t 0 0.1 0 wood.png", False),
+    ],
+)  # fmt: skip
+def test_options_of_an_obj_materials_image_are_read_or_refused(value, drawn, tmp_path):
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    for file in (folder / "wood.png", folder / "a wood.png", tmp_path / "up.png"):
+        Image.new("RGB", (2, 2), (255, 0, 0)).save(file)
+    (folder / "a.mtl").write_text(f"newmtl m\nKd 0 1 0\nmap_Kd {value}\n")
+    (folder / "a.obj").write_text("mtllib a.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n")
+    if not drawn:
+        with pytest.raises(
+            ConfigError, match=r"a\.obj places an image by map_Kd -\w .*, which is not drawn; apply this"
+        ):
+            parts_of(folder / "a.obj")
+        return
+    (part,) = parts_of(folder / "a.obj")
+    assert (pixels(part.material.texture) == [255, 0, 0]).all()
+    (folder / "it.yaml").write_text("name: it\nmesh: a.obj\nmass: 0.1\n")
+    assert not [found for found in check_object(folder / "it.yaml")[0] if "no such file" in found.message]
+
+
+@pytest.mark.parametrize("suffix", ["glb", "gltf"])
+@pytest.mark.parametrize(
+    ("texture", "said"),
+    [
+        ({}, ""),
+        ({"extensions": {"KHR_texture_transform": {"offset": [0, 0], "scale": [1.0, 1.0]}}}, ""),
+        ({"extensions": {"KHR_texture_transform": {"scale": [2, 1]}}}, "'wood' that moves its baseColorTexture"),
+        ({"extensions": {"KHR_texture_transform": {"rotation": 0.5}}}, "'wood' that moves its baseColorTexture"),
+        ({"texCoord": 1}, "'wood' whose baseColorTexture has coordinates of its own"),
+    ],
+)
+def test_a_texture_that_gltf_moves_is_refused(suffix, texture, said, tmp_path):
+    def change(tree):
+        tree["materials"][0]["name"] = "wood"
+        tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] |= texture
+
+    scene = box(baseColorTexture=Image.new("RGB", (4, 4), (255, 0, 0))).scene()
+    written = scene.export(file_type=suffix, tree_postprocessor=change)
+    for name, data in ({f"model.{suffix}": written} if suffix == "glb" else written).items():
+        (tmp_path / name).write_bytes(data)
+    if said:
+        with pytest.raises(ConfigError, match=f"a material {said}"):
+            parts_of(tmp_path / f"model.{suffix}")
+    else:
+        assert parts_of(tmp_path / f"model.{suffix}")[0].material.texture
+
+
+@pytest.mark.parametrize(
+    ("material", "transparent"),
+    [
+        ({"alphaMode": "BLEND", "baseColorFactor": [255, 0, 0, 128]}, True),
+        ({"alphaMode": "MASK", "baseColorTexture": Image.new("RGBA", (2, 2), (255, 0, 0, 0))}, True),
+        ({"alphaMode": "BLEND", "baseColorFactor": [255, 0, 0, 255]}, False),
+        ({"alphaMode": "BLEND", "baseColorTexture": Image.new("RGBA", (2, 2), (255, 0, 0, 255))}, False),
+        ({"baseColorFactor": [255, 0, 0, 128]}, False),
+    ],
+)
+def test_what_is_transparent_is_refused(material, transparent, tmp_path):
+    box(name="glass", **material).export(tmp_path / "a.glb")
+    if transparent:
+        with pytest.raises(ConfigError, match=r"a\.glb has a transparent material 'glass' .*make it OPAQUE"):
+            parts_of(tmp_path / "a.glb")
+    else:
+        assert len(parts_of(tmp_path / "a.glb")) == 1

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from roboxim_core.config import config_dirs, named_config, parse_yaml
+from roboxim_core.config import config_dirs, load_yaml, named_config, parse_yaml
 from roboxim_core.config_folders import config_dir, config_names, is_path
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data import yaml_text
@@ -292,8 +292,10 @@ def _cells_by_view(skills: Sequence[str], *, by_look: bool) -> list[dict[str, An
 def _read(file: Path) -> tuple[str, str]:
     from roboxim_tasks.config import require_content
 
-    text = read_text(file)
-    require_content(parse_yaml(text, source=str(file)), source=str(file))
+    text, data = read_text(file), load_yaml(file)
+    require_content(data, source=str(file))
+    if data != parse_yaml(text):  # images are named relative to the file, which the text alone does not tell
+        text = yaml_text.dump(yaml_text.plain(data))
     return text, str(file)
 
 

@@ -10,11 +10,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.config import digest, load_yaml, parse_yaml
+from roboxim_core.config import digest, parse_yaml
 from roboxim_core.config_folders import config_names, is_path, named_config
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.plain_data.documents import read_text
 from roboxim_core.specs import LookSpec
 from roboxim_core.vision.looks import LookSet
+from roboxim_core.vision.textures import file_of
 from roboxim_runs.storage.store import file_sha256
 from roboxim_tasks.components.cameras import CamerasResetConfig
 from roboxim_tasks.components.look import LookResetConfig
@@ -50,7 +52,7 @@ def definitions_of(tasks: Sequence[TaskConfig], names: Iterable[str] = ()) -> di
         models |= set(_models(task))
     return {
         **{
-            f"{kind.removesuffix('s')} {name}": digest(load_yaml(named_config(kind, name)))
+            f"{kind.removesuffix('s')} {name}": digest(parse_yaml(read_text(named_config(kind, name))))
             for kind, name in sorted(files)
         },
         **{f"file {path}": file_sha256(Path(path)) for path in sorted(content)},
@@ -110,7 +112,7 @@ def pictures_of(look: LookSpec) -> Iterator[str]:
 
 def picture_of(texture: str) -> str:
     """Return the path of a texture's image; empty: it is a built-in one."""
-    return texture.partition("#")[0] if "/" in texture else ""
+    return str(file_of(texture)[0]) if "/" in texture else ""
 
 
 def _models(task: TaskConfig) -> Iterator[str]:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import ErrorCode, SimError
-from roboxim_core.models.hulls import Stamp
+from roboxim_core.models.mesh_files import Stamp
 from roboxim_sim.rendering import textures
 from roboxim_sim.rendering.geometry import VERTEX, VERTEX_FORMAT, VERTEX_NAMES, PackedWorld
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from roboxim_core.models.hulls import Stamp
+from roboxim_core.models.mesh_files import Stamp
 from roboxim_core.specs import MaterialSpec
 from roboxim_core.vision.renderer import RenderBody, VisualPart
 from roboxim_core.vision.srgb import to_srgb

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import roboxim_core.models.textures  # noqa: F401  (registers the objects' textures)
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import MaterialSpec, SceneSpec
-from roboxim_core.vision.textures import ROOM_TEXTURES, TEXTURES
+from roboxim_core.vision.textures import ROOM_TEXTURES, TEXTURES, file_of
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 
@@ -55,7 +54,7 @@ class SurfacesResetConfig:
 def _check_texture(name: str) -> None:
     known = sorted({*ROOM_TEXTURES, *TEXTURES})
     if "/" in name:
-        if not Path(name.partition("#")[0]).is_file():
+        if not file_of(name)[0].is_file():
             raise ConfigError(f"texture: no such file: {name}")
     elif name and name not in known:
         raise ConfigError(f"texture: no texture '{name}'; {one_of(known, name)}")
