@@ -1,10 +1,12 @@
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import Draw
+from roboxim_core.errors import ConfigError
 from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
 from roboxim_recorder.bag import BagReader
@@ -87,6 +89,21 @@ def test_an_episode_that_is_cut_off_is_set_apart_and_whole(lab, bag, tmp_path):
     assert check_bag(tmp_path / path).ok
     assert BagReader(tmp_path / path).result.reason == "interrupted"
     assert next_index(tmp_path, SEED) == 1
+
+
+def test_two_studios_do_not_drive_into_one_folder_at_once(lab, bag, tmp_path):
+    info, other = read_film(bag).info, Lab()
+    draw = Draw(task=info.task, scene=info.scene, max_steps=100)
+    drive = Drive(lab.graph, draw, SEED, tmp_path)
+    try:
+        with pytest.raises(ConfigError, match="another command is running in"):
+            Drive(other.graph, draw, SEED, tmp_path)
+        drive.step(np.array([0.01, 0, 0, 0, 0, 0, 1.0], np.float32), last=True)
+        assert check_bag(drive.bag).ok
+        next_seed = replace(SEED, index=next_index(tmp_path, SEED))
+        assert Drive(other.graph, draw, next_seed, tmp_path).close()
+    finally:
+        other.close()
 
 
 @pytest.mark.thorough

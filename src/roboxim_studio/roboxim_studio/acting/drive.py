@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +22,8 @@ from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, 
 from roboxim_core.seeds import SeedPath
 from roboxim_core.state import StateRecord
 from roboxim_recorder.acted import ActedBy
-from roboxim_recorder.bag_writer import PLACES
+from roboxim_recorder.bag_writer import PLACES, disk_errors
+from roboxim_runs.storage.folder import locked
 from roboxim_studio.acting.partner import Partner
 from roboxim_studio.acting.take import FilmRecorder, OnTick, begin
 from roboxim_studio.episode.film import Film
@@ -105,6 +107,8 @@ class Drive:
                 first, then the person has control. Empty: a partner has control first.
 
         Raises:
+            ConfigError: When another studio or command writes into the folder.
+            RecorderError: With code ``DISK`` when the folder cannot be made.
             TaskError: With code ``RESET_INFEASIBLE`` when the episode cannot begin.
             SimError: With code ``DIVERGED`` when the other episode's actions do not lead to its states.
         """
@@ -138,27 +142,43 @@ class Drive:
         """The result; none while it runs."""
         self._play: Play | None = play
         self._window: Request | None = None
+        self._folder_lock = ExitStack()
+        with disk_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            self._folder_lock.enter_context(locked(folder))  # a recorder removes what another has begun of its episode
+        try:
+            self._begin(play, after)
+        except BaseException:
+            self._finish()
+            raise
+
+    def _begin(self, play: Play, after: Sequence[tuple[StateRecord, ActedBy]]) -> None:
         try:
             start = next(play)
             self._window = play.send(None)
         except StopIteration as end:
-            self._play = None
             result: EpisodeResult = end.value
             raise TaskError(result.message, ErrorCode.RESET_INFEASIBLE) from None
         info = self._recorder.info
         assert info is not None
         assert isinstance(start, EpisodeStart)
         self.rate_hz = info.scene.control_rate_hz
-        if partner is not None:
-            partner.begin(start, info)
+        if self.partner is not None:
+            self.partner.begin(start, info)
         self._repeat(after)
+
+    def _finish(self) -> None:
+        """Execute nothing further; a bag that is still open is dropped, and others may write into the folder."""
+        if self._play is not None:
+            self._play.close()
+            self._play = None
+        self._folder_lock.close()
 
     def _repeat(self, after: Sequence[tuple[StateRecord, ActedBy]]) -> None:
         """Execute another episode's actions; every state must be the recorded one."""
         for recorded, actor in after:
             self._send(ActionChunk(actions=np.array(recorded.action_executed, np.float32)[None]), actor)
             if self.state.state_hash != recorded.state_hash:
-                self.throw_away()
                 raise SimError(
                     f"the simulator does not repeat the recording: tick {recorded.seq} differs; models or versions "
                     "have changed since",
@@ -234,18 +254,16 @@ class Drive:
         try:
             self._window = self._play.send(chunk)
         except StopIteration as end:
-            self._play = None
+            self._finish()
             self.result = end.value
         except BaseException:
-            self._play = None
+            self._finish()
             raise
         return self._play is not None
 
     def throw_away(self) -> None:
         """Drop the episode, running or ended, with its bag."""
-        if self._play is not None:
-            self._play.close()
-            self._play = None
+        self._finish()
         if (bag := self.bag) is not None and bag.parent.name in PLACES.values():
             shutil.rmtree(bag)
             assert self.result is not None
@@ -260,6 +278,5 @@ class Drive:
         if self._play is None:
             return ""
         path = self._recorder.set_apart()
-        self._play.close()
-        self._play = None
+        self._finish()
         return path
