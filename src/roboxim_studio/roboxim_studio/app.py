@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from roboxim_studio.editing.document import from_info
 from roboxim_studio.episode.film import Film, read_film
 from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.opening import Kind, Opened
+from roboxim_studio.own_files import OwnFiles
 from roboxim_studio.panels.compose import ComposePanel
 from roboxim_studio.panels.dataset import DatasetPanel
 from roboxim_studio.panels.drive import FOLDER, DrivePanel
@@ -68,6 +70,7 @@ class Studio:
         self._keys = Bench()  # a key must not wait for a simulation
         self.folder = folder or Path.cwd()
         """Folder that files are written to."""
+        self._own_pages = OwnFiles()
         self.site = site or Site(Access(open_network=open_network), port)
         server = self.site.viser
         self.view = SceneView(server, self.library) if first is None else first.view
@@ -180,13 +183,20 @@ class Studio:
             self.what_if.compare(read_film(path))
 
     def share(self) -> Path | None:
-        """Write the episode that is shown as one HTML file; returns it, or None if there is no episode."""
+        """Write the episode that is shown as one HTML file; returns it, or None if that is not possible.
+
+        The file is named as the run's list, or the panel "What if", names the episode.
+        """
         film = self.episode.film
         if film is None:
             return None
         self.site.send(alert="")
+        names = {entry.path: entry.name for entry in self.files.entries}
+        name = film.title if film.path is None else names.get(film.path, film.title)
+        file = self.folder / f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', name)}.html"
         try:
-            file = share(film, self.library, self.folder / f"{film.info.episode_id}.html")
+            self._own_pages.require(file)
+            share(film, self.library, file)
         except (RoboximError, OSError) as error:
             self.site.send(alert=str(error))
             return None

@@ -1,11 +1,13 @@
 """Datasets of others: the arm in 3D where joint positions are stated, and the distribution of actions."""
 
 import re
+import threading
 
 import h5py
 import numpy as np
 import pytest
 
+from roboxim_core.errors import ConfigError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_datasets.episode import Episode, Step
@@ -146,6 +148,35 @@ def test_pictures_are_those_of_the_step_that_the_slider_says(studio, foreign, mo
     panel.step(2)
     assert shown.visible
     assert (shown.image == panel._pictures.at(2)[name]).all()
+
+
+def test_marks_and_trims_are_of_the_episode_that_is_shown(studio, foreign, monkeypatch):
+    studio.open(recognise(str(foreign)))
+    panel = studio.dataset
+    read, panel._number.value = panel.dataset.episode, 1
+    wanted, released = threading.Event(), threading.Event()
+
+    def damaged(index):
+        raise ConfigError("damaged")
+
+    def slowly(index):
+        if index == 1:
+            wanted.set()
+            assert released.wait(60)
+        return read(index)
+
+    monkeypatch.setattr(panel.dataset, "episode", damaged)
+    panel.show(1)
+    assert (panel._name, panel._number.value, studio.site._latest["alert"]) == ("train/0", 0, "damaged")
+    monkeypatch.setattr(panel.dataset, "episode", slowly)
+    older = threading.Thread(target=panel.show, args=(1,))
+    older.start()
+    assert wanted.wait(60)
+    panel.show(0)
+    first = panel.episode
+    released.set()
+    older.join()
+    assert (panel.episode, panel._name) == (first, "train/0")
 
 
 @pytest.mark.thorough

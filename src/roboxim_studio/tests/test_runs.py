@@ -2,6 +2,7 @@
 
 import html
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from roboxim_datasets.where import with_files
 from roboxim_recorder.export import EXPORTERS
 from roboxim_runs.datasets.export import export_dataset
 from roboxim_runs.datasets.rewriting import convert_dataset
+from roboxim_studio.acting.what_if import Question
 from roboxim_studio.browser import wait_for
 from roboxim_studio.episode.choice import selection_text
 from roboxim_studio.episode.film import read_film
@@ -43,6 +45,68 @@ def test_an_evaluation_lists_the_episodes_of_every_policy(studio, run, tmp_path)
     assert other.name == f"random/{one.episode}"
     studio.files.open_named(other.name, beside=True)
     assert studio.what_if.other.path == other.path
+    for policy in ("bc", "random"):
+        assert f"success of {policy}" in studio.files._facts.content
+
+
+def test_a_selection_of_an_evaluation_is_a_file_for_each_policy(studio, run, tmp_path, monkeypatch):
+    monkeypatch.setattr("roboxim_studio.app.share", lambda film, library, file: file.write_text(str(film.path)))
+    for policy in ("bc", "random"):
+        shutil.copytree(run, tmp_path / "evaluation" / policy)
+    studio.folder = studio.files._folder = tmp_path
+    studio.open(recognise(str(tmp_path / "evaluation")))
+    one, other = studio.files.entries
+    selection = studio.files.selection
+    selection.mark(one.name, "Leave out")
+    studio.files.open_named(other.name)
+    studio.episode.show(4)
+    selection.trim("Starts here")
+    marks, edits = dict(selection.marks), dict(selection.edits)
+    files = selection.save("mine")
+    assert [file.name for file in files] == ["mine-bc.where", "mine-random.where"]
+    last = studio.episode.film.result.steps - 1
+    assert [with_files([f"@{file}"]) for file in files] == [
+        (f"episode!={one.episode}",), (f"trim {other.episode} 4..{last}",)
+    ]  # fmt: skip
+    assert f"lerobot {tmp_path / 'evaluation' / 'random'} --where @mine-random.where" in selection._saved.content
+    selection.mark(one.name, "Unmark")
+    selection.trim("Whole again")
+    selection.load("mine")
+    assert (selection.marks, selection.edits) == (marks, edits)
+    written = [(studio.files.open_named(entry.name), studio.share())[1] for entry in (one, other)]
+    assert [file.read_text() for file in written] == [str(one.path), str(other.path)]
+    studio.watch(replace(studio.episode.film, path=None))
+    selection.trim("Ends here")  # of an episode that is not in the list
+    assert "none of this list" in selection._message.content
+    assert selection.edits == edits
+
+
+def test_writing_an_episode_replaces_no_file_of_others(studio, bag, tmp_path, monkeypatch):
+    monkeypatch.setattr("roboxim_studio.app.share", lambda film, library, file: file.write_text("page"))
+    studio.folder = tmp_path
+    film = studio.open_bag(bag)
+    (tmp_path / f"{film.title}.html").write_text("report")
+    assert studio.share() is None
+    assert "exists already" in studio.site._latest["alert"]
+    questions = (Question(tick=3), Question(tick=3, moved="target"))
+    for other in (replace(film, path=None, title=f"{film.title}: {question.words}") for question in questions):
+        studio.watch(other)
+        assert studio.share() == studio.share()  # its own file
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_bag_that_is_still_being_copied_is_listed_when_it_is_whole(studio, run, tmp_path, monkeypatch):
+    monkeypatch.setattr("roboxim_studio.panels.files.WATCH_S", 600.0)
+    shutil.copytree(run, tmp_path / "run")
+    (tmp_path / "run" / "results.jsonl").unlink(missing_ok=True)
+    (file,) = (tmp_path / "run").glob("episodes/*/*.mcap")
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2])
+    studio.open(recognise(str(tmp_path / "run")))
+    assert [entry.outcome for entry in studio.files.entries] == ["unreadable"]
+    file.write_bytes(whole)
+    studio.files.look()
+    assert [entry.outcome for entry in studio.files.entries] == ["success"]
 
 
 def test_a_selection_file_leaves_episodes_out_of_exports_and_touches_no_bag(studio, run, tmp_path):
@@ -51,19 +115,26 @@ def test_a_selection_file_leaves_episodes_out_of_exports_and_touches_no_bag(stud
     (entry,) = studio.files.entries
     before = {file: file.stat().st_mtime_ns for file in run.rglob("*")}
     studio.files.selection.mark(entry.name, "Leave out")
-    file = studio.files.selection.save("mine")
+    (file,) = studio.files.selection.save("mine")
     assert with_files([f"@{file}"]) == (f"episode!={entry.name}",)
     assert {file: file.stat().st_mtime_ns for file in run.rglob("*")} == before
     studio.files.selection.mark(entry.name, "Unmark")
     assert not studio.files.selection.marks
-    assert studio.files.selection.save("../x") is None
+    assert studio.files.selection.save("../x") == ()
     assert not list(tmp_path.parent.glob("x.where"))
     (tmp_path / "of_another_run.where").write_text("episode!=demo-0-00003-0\n")
-    assert studio.files.selection.save("of_another_run") is None
+    assert studio.files.selection.save("of_another_run") == ()
     assert "exists already" in studio.files.selection._saved.content
-    assert studio.files.selection.save("mine") == file  # its own file
+    assert studio.files.selection.save("mine") == (file,)  # its own file
+    more = "# mine\nsteps<999\nepisode!=demo-0-00003-0\n"
+    (tmp_path / "of_another_run.where").write_text(f"{more}episode!={entry.name}\n")
     studio.files.selection.load("of_another_run")
-    assert studio.files.selection.save("of_another_run") is not None
+    assert studio.files.selection.marks == {entry.name: "out"}
+    assert "steps&lt;999; episode!=demo-0-00003-0" in studio.files._facts.content
+    studio.files.selection.mark(entry.name, "Unmark")
+    (file,) = studio.files.selection.save("of_another_run")
+    assert file.read_text().endswith(f"are left out.\n{more}")  # what the studio does not show stays
+    assert str(run) in studio.files.selection._saved.content
 
 
 @pytest.mark.thorough
@@ -78,7 +149,7 @@ def test_a_selection_file_trims_and_relabels_and_can_be_loaded_again(studio, run
     studio.files.selection.trim("Ends here")
     studio.files.selection.relabel("Lift  it = now")
     studio.files.selection.mark(entry.name, "Flag")
-    file = studio.files.selection.save("mine")
+    (file,) = studio.files.selection.save("mine")
     lines = (f"trim {entry.episode} 4..{last - 3}", f"relabel {entry.episode} Lift it = now")
     assert with_files([f"@{file}"]) == lines
     config = EXPORTERS["hdf5"]().config(val_fraction=0.0, where=lines)
@@ -128,13 +199,13 @@ def test_a_dataset_is_filtered_marked_trimmed_and_audited_without_being_touched(
     panel.selection.trim("Starts here")
     panel.selection.relabel("Lift it")
     panel.selection.mark(name, "Flag")
-    file = panel.selection.save("mine")
+    (file,) = panel.selection.save("mine")
     assert with_files([f"@{file}"]) == (f"trim {name} 3..{len(panel.episode) - 1}", f"relabel {name} Lift it")
     convert_dataset(source, tmp_path / "cut", "hdf5", where=with_files([f"@{file}"]))
     (episode,) = open_dataset(tmp_path / "cut").episodes()
     assert (episode.length, episode.instruction) == (len(panel.episode) - 3, "Lift it")
     panel.selection.mark(name, "Leave out")
-    assert with_files([f"@{panel.selection.save('none')}"])[0] == f"episode!={name}"
+    assert with_files([f"@{panel.selection.save('none')[0]}"])[0] == f"episode!={name}"
     assert {file: file.read_bytes() for file in source.rglob("*") if file.is_file()} == before
 
 

@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import pytest
 
 from roboxim_core.errors import ConfigError
 from roboxim_studio.acting.lab import Lab
-from roboxim_studio.acting.what_if import EXPERT, RECORDED, Question, simulate
+from roboxim_studio.acting.what_if import EXPERT, RECORDED, Question, first_difference, simulate
 from roboxim_studio.episode.film import read_film
 
 
@@ -31,6 +33,14 @@ def test_the_expert_goes_on_from_a_tick_with_what_the_gripper_holds(lab, film):
     assert answer.differs_at is None or answer.differs_at > held
     assert answer.film.result.outcome == "success"
     assert answer.film.pictures.at(held + 1).keys() == film.pictures.at(0).keys()
+
+
+def test_an_episode_that_ends_sooner_differs_where_it_ends(studio, bag, film):
+    studio.open_bag(bag)
+    cut = replace(film, states=film.states[:5], steps=film.steps[:5])
+    assert (first_difference(film, cut), first_difference(cut, film), first_difference(film, film)) == (5, 5, None)
+    studio.what_if.compare(cut)
+    assert "no tick differs until one of them ends, after tick 4" in studio.what_if._message.content
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -45,6 +46,12 @@ class Question:
     without: str = ""
     """Distractor that is left out from the start; empty: none."""
 
+    @property
+    def words(self) -> str:
+        """The question in words; different ones for different questions."""
+        moved = f", {self.moved} moved by {self.by_m[0]:g} {self.by_m[1]:g} m" if self.moved else ""
+        return f"{self.actor} from tick {self.tick}{moved}{f', without {self.without}' if self.without else ''}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
@@ -57,9 +64,9 @@ class Answer:
 
 
 def first_difference(one: Film, other: Film) -> int | None:
-    """Return the first tick whose states differ; None: all that both have are the same, bit for bit."""
-    pairs = zip(one.states, other.states, strict=False)
-    return next((a.seq for a, b in pairs if a.state_hash != b.state_hash), None)
+    """Return the first tick whose states differ, or that one of them lacks; None: all are the same, bit for bit."""
+    pairs = itertools.zip_longest(one.states, other.states)
+    return next((n for n, (a, b) in enumerate(pairs) if a is None or b is None or a.state_hash != b.state_hash), None)
 
 
 def simulate(
@@ -97,7 +104,7 @@ def simulate(
         graph, draw, actor or _Recorded(film), seed, config=config, sim=sim, on_tick=on_tick, cancelled=cancelled,
         repeat=repeat,
     )  # fmt: skip
-    other = replace(other, title=f"{info.episode_id}: {question.actor} from tick {question.tick}")
+    other = replace(other, title=f"{info.episode_id}: {question.words}")
     return Answer(film=other, differs_at=first_difference(film, other))
 
 

@@ -5,23 +5,24 @@ The source is never touched.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.limits import is_file_name
 from roboxim_core.plain_data.documents import read_text
-from roboxim_datasets.where import Choice, Edit, with_files
-from roboxim_studio.own_files import OwnFiles
+from roboxim_datasets.where import Choice, Condition, Edit, with_files
 
 ENDING = ".where"
+MADE = "# Made with roboxim studio"
 FLAG = "# flagged: "
 
 
 def selection_text(
-    left_out: Iterable[str], flagged: Iterable[str], source: str, total: int, edits: Iterable[Edit] = ()
-) -> str:
+    left_out: Iterable[str], flagged: Iterable[str], source: str, total: int, edits: Iterable[Edit] = (),
+    kept: Iterable[str] = (),
+) -> str:  # fmt: skip
     """Return the text of a selection file.
 
     Args:
@@ -30,9 +31,10 @@ def selection_text(
         source: Name of the run.
         total: Number of its episodes.
         edits: Trims and new instructions.
+        kept: Further lines, as they are.
     """
     out, looked = sorted(left_out), sorted(flagged)
-    lines = [f"# Made with roboxim studio: {len(out)} of {total} episodes of {source} are left out."]
+    lines = [f"{MADE}: {len(out)} of {total} episodes of {source} are left out."]
     lines += [f"{FLAG}{name}" for name in looked]
     lines += [f"episode!={name}" for name in out]
     for edit in sorted(edits, key=lambda one: one.episode):
@@ -40,7 +42,7 @@ def selection_text(
             lines.append(f"trim {edit.episode} {edit.steps[0]}..{edit.steps[1]}")
         if edit.instruction:
             lines.append(f"relabel {edit.episode} {edit.instruction}")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *kept]) + "\n"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,32 +55,47 @@ class Saved:
     """Ids of episodes that somebody should look at."""
     edits: Mapping[str, Edit] = field(default_factory=dict)
     """Episode to its edit."""
+    kept: tuple[str, ...] = ()
+    """Every other line: other conditions, what is said of other episodes, and comments."""
 
 
-def read_selection(folder: Path, name: str) -> Saved:
-    """Read a selection file that `save_selection` wrote.
+def read_selection(file: Path, episodes: Collection[str]) -> Saved:
+    """Read a selection file.
 
-    Raises:
-        ConfigError: When the name is no plain file name, or there is no such file.
-        InvalidRequestError: When a line is no condition.
-    """
-    file = selection_file(folder, name)
-    choice = Choice.parse(with_files([f"@{file}"]))
-    out = {v for _, one in choice.conditions if (one.key, one.sign) == ("episode", "!=") for v in one.values}
-    flags = [line.removeprefix(FLAG) for line in read_text(file).splitlines() if line.startswith(FLAG)]
-    return Saved(left_out=frozenset(out), flagged=frozenset(flags), edits=choice.edits)
-
-
-def save_selection(folder: Path, name: str, text: str, own: OwnFiles) -> Path:
-    """Write a selection file; returns it.
+    Args:
+        file: The file.
+        episodes: Ids of the episodes that can be marked and edited.
 
     Raises:
-        ConfigError: When the name is no plain file name, or that of another file.
-        OSError: When it cannot be written.
+        ConfigError: When there is no such file.
+        InvalidRequestError: When a line is neither a condition nor an edit.
     """
-    file = selection_file(folder, name)
-    own.write(file, text)
-    return file
+    with_files([f"@{file}"])  # names the line that is neither
+    out: set[str] = set()
+    flagged: set[str] = set()
+    edits: list[str] = []
+    kept: list[str] = []
+    for line in map(str.strip, read_text(file).splitlines()):
+        if not line or line.startswith(MADE):
+            continue
+        comment = line.startswith("#")
+        edit = None if comment else Edit.parse(line)
+        left_out = set() if comment or edit is not None else _left_out(line)
+        if comment and line.startswith(FLAG) and line.removeprefix(FLAG) in episodes:
+            flagged.add(line.removeprefix(FLAG))
+        elif edit is not None and edit.episode in episodes:
+            edits.append(line)
+        elif left_out and all(one in episodes for one in left_out):
+            out |= left_out
+        else:
+            kept.append(line)
+    return Saved(left_out=frozenset(out), flagged=frozenset(flagged), edits=Choice.parse(edits).edits, kept=tuple(kept))
+
+
+def _left_out(line: str) -> set[str]:
+    """Return the ids of the episodes that a condition leaves out; empty: it is another condition."""
+    condition = Condition.parse(line)
+    return set(condition.values) if (condition.key, condition.sign) == ("episode", "!=") else set()
 
 
 def selection_file(folder: Path, name: str) -> Path:

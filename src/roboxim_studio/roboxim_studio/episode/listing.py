@@ -19,7 +19,9 @@ class Entry:
     name: str
     """Its id, in an evaluation after the policy's name; of a bag that cannot be read, its folder's name."""
     episode: str = ""
-    """Its id."""
+    """Its id; empty: the bag cannot be read."""
+    policy: str = ""
+    """Folder of its policy in an evaluation; empty: the run has no such folders."""
     path: Path
     """The bag."""
     skill: str = ""
@@ -54,14 +56,15 @@ def list_entries(bags: Sequence[Path], folder: Path) -> tuple[Entry, ...]:
 
 def _entry(bag: Path, result: EpisodeResult | None, folder: Path) -> Entry:
     run = bag.parent.parent
-    policy = f"{run.name}/" if run.parent == folder else ""
+    policy = run.name if run.parent == folder else ""
+    before = f"{policy}/" if policy else ""
     try:
         if result is None:
             result = BagReader(bag).result
     except RoboximError as error:
-        return Entry(name=policy + bag.name, path=bag, reason=str(error))
+        return Entry(name=before + bag.name, path=bag, policy=policy, reason=str(error))
     return Entry(
-        name=policy + result.episode_id,
-        episode=result.episode_id, path=bag, skill=result.skill, instruction=result.instruction, outcome=result.outcome,
-        reason=result.reason,
+        name=before + result.episode_id,
+        episode=result.episode_id, path=bag, policy=policy, skill=result.skill, instruction=result.instruction,
+        outcome=result.outcome, reason=result.reason,
     )  # fmt: skip

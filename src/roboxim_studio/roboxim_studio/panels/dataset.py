@@ -33,7 +33,7 @@ from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.panels import markup
 from roboxim_studio.panels.editor_forms import by_person
 from roboxim_studio.panels.plots import COLOURS, Plot, add_distributions
-from roboxim_studio.panels.selection import CONDITIONS_HINT, MARKS, OpenEpisode, Selection, meeting
+from roboxim_studio.panels.selection import CONDITIONS_HINT, MARKS, Listed, OpenEpisode, Selection, meeting
 from roboxim_studio.serving.site import Site
 from roboxim_tasks.files import named
 
@@ -64,6 +64,7 @@ class DatasetPanel:
         self.selection: Selection | None = None
         """What is marked and edited."""
         self._place = ("", 0)
+        self._request = 0
         self._known: dict[str, dict[str, Fact]] = {}
         self._found: list[str] = []
         self._numbers: dict[str, int] = {}
@@ -108,15 +109,16 @@ class DatasetPanel:
             )
             self._marked = gui.add_html("")
             self.selection = Selection(
-                gui, self._saves, path, opened=self._open_episode, chosen=lambda: "/".join(map(str, self._place)),
+                gui, self._saves, path, opened=self._open_episode, chosen=lambda: self._name,
                 changed=self._list, command="roboxim dataset convert lerobot {source} --where {file} --out ...",
             )  # fmt: skip
             with self.selection.folder:
                 measure = gui.add_button("Measure all episodes")
                 self._measured = gui.add_folder("Distributions", visible=False)
         places = [self.dataset.place(index) for index in range(len(self.dataset))]
-        self.selection.ids = {f"{split}/{index}": f"{split}/{index}" for split, index in places}
-        self._numbers = {name: number for number, name in enumerate(self.selection.ids)}
+        names = [f"{split}/{index}" for split, index in places]
+        self.selection.listed = {name: Listed(source=path, episode=name) for name in names}
+        self._numbers = {name: number for number, name in enumerate(names)}
         conditions.on_update(by_person(lambda text: self._bench.do(lambda: self.filter(str(text)), newest_of="filter")))
         self._meeting.on_update(lambda event: self._show_named(str(event.target.value)) if event.client else None)
         self._number.on_update(lambda event: self.show(int(event.target.value)) if event.client else None)
@@ -125,16 +127,28 @@ class DatasetPanel:
         self.show(0)
 
     def show(self, index: int) -> None:
-        """Show an episode by its number; one that cannot be read is named."""
+        """Show an episode by its number; one that cannot be read is named, and the one before stays.
+
+        Of several requests at once the newest one counts.
+        """
         assert self.dataset is not None
+        with self._lock:
+            self._request += 1
+            request = self._request
         try:
-            self._place = self.dataset.place(index)
+            place = self.dataset.place(index)
             episode = self.dataset.episode(index)
             rows = [step for step in episode.steps(cameras=())]
         except RoboximError as error:
-            self._site.send(alert=str(error))
+            with self._lock:
+                if request == self._request:
+                    self._number.value = self._numbers.get(self._name, 0)
+                    self._site.send(alert=str(error))
             return
         with self._lock:
+            if request != self._request:
+                return
+            self._place = place
             self.episode, self._pictures, self._rows, self.number = episode, Pictures(), rows, 0
             self._arm = named_arm(episode, self._library) or UNKNOWN
             for handle in self._own:
@@ -143,7 +157,8 @@ class DatasetPanel:
             with self.folder:
                 self._build(episode, rows)
             self.choose_arm(self._arm)
-        run_beside(partial(self._fill, episode, self._pictures), "pictures")
+            pictures = self._pictures
+        run_beside(partial(self._fill, episode, pictures), "pictures")
 
     def _build(self, episode: Episode, rows: list[Any]) -> None:
         gui = self._gui
@@ -235,8 +250,13 @@ class DatasetPanel:
     def _open_episode(self) -> OpenEpisode | None:
         if self.episode is None:
             return None
-        name, number = "/".join(map(str, self._place)), self.number
-        return OpenEpisode(episode=name, starts=number, ends=number, last=len(self.episode) - 1)
+        number = self.number
+        return OpenEpisode(name=self._name, starts=number, ends=number, last=len(self.episode) - 1)
+
+    @property
+    def _name(self) -> str:
+        """Name of the episode that is shown."""
+        return "/".join(map(str, self._place))
 
     def close(self) -> None:
         """Read no further pictures."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +24,17 @@ from roboxim_studio.opening import bags_of
 from roboxim_studio.panels import markup
 from roboxim_studio.panels.editor_forms import by_person
 from roboxim_studio.panels.progress import Progress
-from roboxim_studio.panels.selection import CONDITIONS_HINT, MARKS, OpenEpisode, Selection, meeting
+from roboxim_studio.panels.selection import CONDITIONS_HINT, MARKS, Listed, OpenEpisode, Selection, meeting
 from roboxim_studio.serving.site import Site
 
 ANY = "any"
 WATCH_S = 2.0
 """Period in which a run's folder is looked at for new episodes."""
+
+
+UNREADABLE = "unreadable"
+Stamp = tuple[tuple[str, int, int], ...]
+"""Name, size and time of change of each file of a bag."""
 
 
 class FilesPanel:
@@ -66,6 +71,7 @@ class FilesPanel:
         self._lock = threading.RLock()
         self._fresh: list[Any] = []
         self._known: tuple[Path, ...] = ()
+        self._unreadable: dict[Path, Stamp] = {}
         self._closed = threading.Event()
 
     def open(self, folder: Path, bags: tuple[Path, ...]) -> None:
@@ -77,7 +83,7 @@ class FilesPanel:
         with self._lock:
             following = self.run is not None
             self.run, self._known, self._meeting = folder, bags, None
-            self.entries = list_entries(bags, folder)
+            self.entries = self._read(bags, folder)
             for handle in self._fresh:
                 handle.remove()
             self._fresh = []
@@ -86,7 +92,7 @@ class FilesPanel:
             self.folder.visible = True
         if not following:
             threading.Thread(target=self._follow, name="run", daemon=True).start()
-        readable = [entry for entry in self.entries if entry.outcome != "unreadable"]
+        readable = [entry for entry in self.entries if entry.outcome != UNREADABLE]
         if readable:
             self._open_bag(readable[0].path)
 
@@ -148,7 +154,7 @@ class FilesPanel:
             for number, entry in enumerate(self.entries):
                 if number % 20 == 0:
                     self._show_message(f"{number} of {len(self.entries)} episodes read")
-                if entry.outcome != "unreadable":
+                if entry.outcome != UNREADABLE:
                     facts[entry.name] = self._read_facts(entry)
             try:
                 found = meeting(text, facts)
@@ -172,11 +178,12 @@ class FilesPanel:
 
     def _open_episode(self) -> OpenEpisode | None:
         film, tick = self._opened()
-        if film is None:
+        entry = next((one for one in self.entries if film is not None and one.path == film.path), None)
+        if film is None or entry is None:
             return None
         last = film.result.steps - 1
         ends = min(max(tick - 1, 0), last)
-        return OpenEpisode(episode=film.info.episode_id, starts=min(tick, last), ends=ends, last=last)
+        return OpenEpisode(name=entry.name, starts=min(tick, last), ends=ends, last=last)
 
     def _names(self, entries: tuple[Entry, ...]) -> tuple[str, ...]:
         assert self.selection is not None
@@ -188,7 +195,11 @@ class FilesPanel:
     def _list(self) -> None:
         with self._lock:
             assert self.selection is not None
-            self.selection.ids = {entry.name: entry.episode or entry.name for entry in self.entries}
+            assert self.run is not None
+            self.selection.listed = {
+                entry.name: Listed(source=self.run / entry.policy, episode=entry.episode or entry.path.name)
+                for entry in self.entries
+            }
             for handle, options in (
                 (self._skill, {entry.skill for entry in self.entries if entry.skill}),
                 (self._ending, {entry.ending for entry in self.entries}),
@@ -205,46 +216,69 @@ class FilesPanel:
 
     def _rows(self) -> list[tuple[str, object]]:
         assert self.run is not None
-        counts = Counter(entry.outcome for entry in self.entries)
-        judged = counts["success"] + counts["failure"] + counts["error"]
         rows: list[tuple[str, object]] = [("folder", self.run.name), ("episodes", len(self.entries))]
-        if judged:
-            rate = success_rate(counts["success"], judged)
-            share = 100 * rate.successes / judged
-            rows.append(
-                ("success", f"{share:.0f} % of {judged}, 95 %: {100 * rate.low:.0f} to {100 * rate.high:.0f} %")
-            )
-        reasons = Counter(entry.reason for entry in self.entries if entry.reason and entry.outcome != "unreadable")
-        rows += [(f"not: {reason}", count) for reason, count in reasons.most_common(6)]
-        if counts["unreadable"]:
-            rows.append(("unreadable", counts["unreadable"]))
+        policies = sorted({entry.policy for entry in self.entries})
+        several = len(policies) > 1
+        for policy in policies:
+            counts = Counter(entry.outcome for entry in self.entries if entry.policy == policy)
+            judged = counts["success"] + counts["failure"] + counts["error"]
+            if judged:
+                rate = success_rate(counts["success"], judged)
+                share, whole = 100 * rate.successes / judged, f"{100 * rate.low:.0f} to {100 * rate.high:.0f} %"
+                of = f"success of {policy}" if several else "success"
+                rows.append((of, f"{share:.0f} % of {judged}, 95 %: {whole}"))
+        unreadable = [entry for entry in self.entries if entry.outcome == UNREADABLE]
+        reasons = Counter(
+            (entry.policy, entry.reason) for entry in self.entries if entry.reason and entry not in unreadable
+        )
+        for (policy, reason), count in reasons.most_common(6 * len(policies)):
+            rows.append((f"not, {policy}: {reason}" if several else f"not: {reason}", count))
+        if unreadable:
+            rows.append(("unreadable", len(unreadable)))
         assert self.selection is not None
         rows += self.selection.rows()
         return rows
 
     def _follow(self) -> None:
-        """Show the progress of a run while a page is open; add the episodes that it finishes."""
+        """Look at the folder now and then."""
         while not self._closed.wait(WATCH_S):
-            with self._lock:
-                run, known = self.run, self._known
-                if run is None:
-                    continue
-                if self.progress is not None and self._site.pages and self.folder.visible:
-                    self.progress.follow()
-                there = {entry.path: entry for entry in self.entries}
-                try:
-                    bags = bags_of(run)
-                    if bags == known:
-                        continue
-                    new = {entry.path: entry for entry in list_entries([bag for bag in bags if bag not in there], run)}
-                except (RoboximError, OSError) as error:  # the folder may be moved, or written at this moment
-                    self._show_message(str(error), alert=True)
-                    continue
-                self._known = bags
-                self.entries = tuple((there | new)[bag] for bag in bags)
-                self._list()
-                if new:
-                    self._show_message(f"new: {', '.join(entry.name for entry in new.values())}")
+            self.look()
+
+    def look(self) -> None:
+        """Show the progress of a run while a page is open; add the episodes that it has finished.
+
+        A bag that could not be read is read again when it has changed: it was being copied.
+        """
+        with self._lock:
+            run, known = self.run, self._known
+            if run is None:
+                return
+            if self.progress is not None and self._site.pages and self.folder.visible:
+                self.progress.follow()
+            there = {entry.path: entry for entry in self.entries if not self._changed(entry)}
+            try:
+                bags = bags_of(run)
+                if bags == known and len(there) == len(self.entries):
+                    return
+                new = {entry.path: entry for entry in self._read([bag for bag in bags if bag not in there], run)}
+            except (RoboximError, OSError) as error:  # the folder may be moved, or written at this moment
+                self._show_message(str(error), alert=True)
+                return
+            self._known = bags
+            self.entries = tuple((there | new)[bag] for bag in bags)
+            self._list()
+            if new:
+                self._show_message(f"new: {', '.join(entry.name for entry in new.values())}")
+
+    def _read(self, bags: Sequence[Path], run: Path) -> tuple[Entry, ...]:
+        stamps = {bag: _stamp(bag) for bag in bags}
+        entries = list_entries(bags, run)
+        self._unreadable |= {one.path: stamps[one.path] for one in entries if one.outcome == UNREADABLE}
+        return entries
+
+    def _changed(self, entry: Entry) -> bool:
+        """Return whether a bag that could not be read has changed since."""
+        return entry.outcome == UNREADABLE and _stamp(entry.path) != self._unreadable.get(entry.path)
 
     # ---------------------------------------------------------------- acting on one
 
@@ -278,7 +312,7 @@ class FilesPanel:
     def measure(self) -> dict[str, Traits]:
         """Read every listed episode and show distributions; returns the numbers by episode."""
         found: dict[str, Traits] = {}
-        entries = [entry for entry in self.shown() if entry.outcome != "unreadable"]
+        entries = [entry for entry in self.shown() if entry.outcome != UNREADABLE]
         for number, entry in enumerate(entries, start=1):
             if self._closed.is_set():
                 break
@@ -329,3 +363,11 @@ class FilesPanel:
     def _show_message(self, text: str, *, alert: bool = False) -> None:
         assert self.selection is not None
         self.selection.show_message(text, alert=alert)
+
+
+def _stamp(bag: Path) -> Stamp:
+    """Return the state of a bag's files; a folder that is moved at this moment has none."""
+    try:
+        return tuple((file.name, (about := file.stat()).st_size, about.st_mtime_ns) for file in sorted(bag.iterdir()))
+    except OSError:
+        return ()

@@ -6,12 +6,13 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from roboxim_core.errors import RoboximError
 from roboxim_datasets.audit.values import Finding
 from roboxim_datasets.where import Choice, Condition, Edit, Fact, require_known
-from roboxim_studio.episode.choice import read_selection, save_selection, selection_file, selection_text
+from roboxim_studio.episode.choice import ENDING, read_selection, selection_file, selection_text
 from roboxim_studio.own_files import OwnFiles
 from roboxim_studio.panels import markup
 
@@ -28,8 +29,8 @@ CONDITIONS_HINT = "As for --where, separated by ;   e.g. object=mug; target.colo
 class OpenEpisode:
     """The episode that the studio shows, for trimming it."""
 
-    episode: str
-    """Its name in a selection."""
+    name: str
+    """Its name in the panel."""
     starts: int
     """First step that is left if it starts here."""
     ends: int
@@ -38,8 +39,18 @@ class OpenEpisode:
     """Its last step."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Listed:
+    """Where an episode of the panel is."""
+
+    source: Path
+    """The run or the dataset; in an evaluation the run of its policy."""
+    episode: str
+    """Its name in a selection of that source."""
+
+
 class Selection:
-    """Marks and edits of one source, which is never touched."""
+    """Marks and edits of the episodes of one source, or of each run of an evaluation; no source is ever touched."""
 
     def __init__(
         self, gui: Any, folder: Path, source: Path, *, opened: Callable[[], OpenEpisode | None],
@@ -50,21 +61,22 @@ class Selection:
         Args:
             gui: The page's GUI.
             folder: Folder to save into.
-            source: The run or the dataset.
-            opened: Returns the episode that is shown; None: none is.
+            source: The run, the evaluation or the dataset.
+            opened: Returns the episode that is shown; None: none of the panel's is.
             chosen: Returns the name of the episode that buttons mark.
             changed: Called after every change.
-            command: What to type with the saved file, with ``{source}`` and ``{file}``.
+            command: What to type with a saved file, with ``{source}`` and ``{file}``.
         """
         self._folder, self._source, self._command = folder, source, command
         self._opened, self._changed = opened, changed
         self._lock, self._own = threading.RLock(), OwnFiles()
-        self.ids: Mapping[str, str] = {}
-        """Name of every episode in the panel to its name in a selection."""
+        self.listed: Mapping[str, Listed] = {}
+        """Name of every episode in the panel to where it is."""
         self.marks: dict[str, str] = {}
         """Name of an episode to ``flag`` or ``out``."""
         self.edits: dict[str, Edit] = {}
-        """Episode to what the selection changes of it."""
+        """Name of an episode to what the selection changes of it."""
+        self._kept: dict[Path, tuple[str, ...]] = {}
         marks = gui.add_button_group("Mark", ("Leave out", "Flag", "Unmark"))
         self._message = gui.add_html("")
         self.folder = gui.add_folder("Selection, distributions", expand_by_default=False)
@@ -102,8 +114,15 @@ class Selection:
             left_out = sum(mark == "out" for mark in self.marks.values())
             found.append(("marked", f"{left_out} left out, {len(self.marks) - left_out} flagged"))
         if self.edits:
-            found.append(("edited", "; ".join(map(described, self.edits.values()))))
+            found.append(("edited", "; ".join(described(name, edit) for name, edit in self.edits.items())))
+        if more := [line for lines in self._kept.values() for line in lines if not line.startswith("#")]:
+            found.append(("also in the file", "; ".join(more)))
         return found
+
+    @property
+    def sources(self) -> tuple[Path, ...]:
+        """The runs or the dataset that the listed episodes are of."""
+        return tuple(dict.fromkeys(one.source for one in self.listed.values())) or (self._source,)
 
     def show_message(self, text: str, *, alert: bool = False) -> None:
         """Show a message."""
@@ -113,7 +132,7 @@ class Selection:
 
     def mark(self, name: str, what: str) -> None:
         """Leave an episode out, flag it, or take its mark away."""
-        if name not in self.ids:
+        if name not in self.listed:
             return
         with self._lock:
             self.marks.pop(name, None)
@@ -121,21 +140,21 @@ class Selection:
                 self.marks[name] = "out" if what == "Leave out" else "flag"
             self._changed()
 
-    def flag(self, episodes: Iterable[str]) -> None:
-        """Flag episodes by their names in a selection; those with a mark keep it."""
+    def flag(self, source: Path, episodes: Iterable[str]) -> None:
+        """Flag episodes of a source by their names in a selection; those with a mark keep it."""
         wanted = set(episodes)
         with self._lock:
-            for name, episode in self.ids.items():
-                if episode in wanted or name in wanted:
+            for name, one in self.listed.items():
+                if one.source == source and (one.episode in wanted or name in wanted):
                     self.marks.setdefault(name, "flag")
             self._changed()
 
     def trim(self, what: str) -> None:
         """Trim the open episode at the tick that it shows: keep the steps from there on, up to there, or all."""
-        shown = self._opened()
+        shown = self._open_episode()
         if shown is None:
             return
-        before = self.edits.get(shown.episode, Edit(episode=shown.episode))
+        before = self._edit_of(shown.name)
         start, end = before.steps or (0, shown.last)
         if what == TRIMS[0]:
             start = shown.starts
@@ -148,88 +167,124 @@ class Selection:
                 f"nothing would be left: it would begin at step {start} and end with step {end}", alert=True
             )
             return
-        self._edit(replace(before, steps=None if (start, end) == (0, shown.last) else (start, end)))
+        self._edit(shown.name, replace(before, steps=None if (start, end) == (0, shown.last) else (start, end)))
 
     def relabel(self, words: str) -> None:
         """Give the open episode another instruction; empty: its own."""
-        shown, words = self._opened(), " ".join(words.split())
+        shown, words = self._open_episode(), " ".join(words.split())
         if shown is None:
             return
+        before = self._edit_of(shown.name)
         try:
-            Choice.parse([f"relabel {shown.episode} {words}"] if words else [])
+            Choice.parse([f"relabel {before.episode} {words}"] if words else [])
         except RoboximError as error:
             self.show_message(str(error), alert=True)
             return
-        self._edit(replace(self.edits.get(shown.episode, Edit(episode=shown.episode)), instruction=words))
+        self._edit(shown.name, replace(before, instruction=words))
 
-    def _edit(self, edit: Edit) -> None:
+    def _open_episode(self) -> OpenEpisode | None:
+        """Return the episode that is shown, if it can be edited here; else say why not."""
+        shown = self._opened()
+        if shown is None or shown.name not in self.listed:
+            self.show_message("the episode that is shown is none of this list; open one of the list first", alert=True)
+            return None
+        return shown
+
+    def _edit_of(self, name: str) -> Edit:
+        return self.edits.get(name, Edit(episode=self.listed[name].episode))
+
+    def _edit(self, name: str, edit: Edit) -> None:
         with self._lock:
-            self.edits.pop(edit.episode, None)
+            self.edits.pop(name, None)
             if edit.steps or edit.instruction:
-                self.edits[edit.episode] = edit
+                self.edits[name] = edit
             self._changed()
-        self.show_message(f"{described(edit)}; 'Save the selection' keeps it, the source stays as it is")
+        self.show_message(f"{described(name, edit)}; 'Save the selection' keeps it, the source stays as it is")
 
     # ---------------------------------------------------------------- files
 
-    def save(self, name: str) -> Path | None:
-        """Save the selection; returns the file, or None if it is not possible, which the panel says."""
-        out = [self.ids[one] for one, mark in self.marks.items() if mark == "out"]
-        flagged = [self.ids[one] for one, mark in self.marks.items() if mark == "flag"]
-        text = selection_text(out, flagged, self._source.name, len(self.ids), self.edits.values())
+    def save(self, name: str) -> tuple[Path, ...]:
+        """Save the selection, a file for each source; returns them: none if it is not possible, which is shown."""
         try:
-            file = save_selection(self._folder, name, text, self._own)
+            files = {source: self._file(name, source) for source in self.sources}
+            for file in files.values():
+                self._own.require(file)
+            for source, file in files.items():
+                self._own.write(file, self._text(source))
         except (RoboximError, OSError) as error:
             self._saved.content = markup.paragraph(str(error), "selection", alert=True)
-            return None
-        command = self._command.format(source=self._source.name, file=f"@{file.name}")
-        self._saved.content = markup.paragraph(f"saved as {file.name}\n{command}", "selection")
-        return file
+            return ()
+        lines = [f"saved as {', '.join(file.name for file in files.values())}"]
+        for source, file in files.items():
+            lines.append(self._command.format(source=quote(str(source)), file=quote(f"@{file.name}")))
+        self._saved.content = markup.paragraph("\n".join(lines), "selection")
+        return tuple(files.values())
+
+    def _file(self, name: str, source: Path) -> Path:
+        """Return the file of a source's selection; those of an evaluation's runs end in the policy's name."""
+        stem = name.removesuffix(ENDING)
+        return selection_file(self._folder, stem if source == self._source or not stem else f"{stem}-{source.name}")
+
+    def _text(self, source: Path) -> str:
+        own = {name: one.episode for name, one in self.listed.items() if one.source == source}
+        marked = {mark: [own[name] for name in own if self.marks.get(name) == mark] for mark in ("out", "flag")}
+        edits = [self.edits[name] for name in own if name in self.edits]
+        kept = self._kept.get(source, ())
+        return selection_text(marked["out"], marked["flag"], source.name, len(own), edits, kept)
 
     def load(self, name: str) -> None:
-        """Take the marks and edits of a selection file that was saved before."""
+        """Take the marks and edits of a selection that was saved before; other lines of it stay as they are."""
+        marks: dict[str, str] = {}
+        edits: dict[str, Edit] = {}
+        kept: dict[Path, tuple[str, ...]] = {}
         try:
-            saved = read_selection(self._folder, name)
-            self._own.add(selection_file(self._folder, name))
+            files = {source: self._file(name, source) for source in self.sources}
+            for source, file in {s: f for s, f in files.items() if f.exists()}.items() or files.items():
+                names = {one.episode: each for each, one in self.listed.items() if one.source == source}
+                saved = read_selection(file, names.keys())
+                marks |= {names[one]: "flag" for one in saved.flagged} | {names[one]: "out" for one in saved.left_out}
+                edits |= {names[one]: edit for one, edit in saved.edits.items()}
+                kept[source] = saved.kept
+                self._own.add(file)
         except RoboximError as error:
             self.show_message(str(error), alert=True)
             return
         with self._lock:
-            self.edits = dict(saved.edits)
-            self.marks = {
-                one: "out" if episode in saved.left_out else "flag"
-                for one, episode in self.ids.items()
-                if episode in saved.left_out | saved.flagged
-            }
+            self.marks, self.edits, self._kept = marks, edits, kept
             self._changed()
         self.show_message(f"loaded {name}")
 
     def audit(self) -> tuple[tuple[str, Finding], ...]:
-        """Audit the source, flag the episodes with faults, and list what was found; returns check and finding."""
+        """Audit the sources, flag the episodes with faults, and list what was found; returns check and finding."""
         from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
 
         self.show_message("auditing ...")
+        found: list[tuple[str, Finding]] = []
+        number, sources = 0, self.sources
         try:
-            checks = audit_dataset(self._source, None, AuditConfig(render=False, pictures=0)).result.checks
+            for source in sources:
+                checks = audit_dataset(source, None, AuditConfig(render=False, pictures=0)).result.checks
+                of = f"{source.name}: " if len(sources) > 1 else ""
+                found += [(of + check.name, finding) for check in checks for finding in check.findings]
+                self.flag(source, (name for check in checks for fault in check.faults for name in fault.episodes))
+                number += len(checks)
         except RoboximError as error:
             self.show_message(str(error), alert=True)
             return ()
-        found = tuple((check.name, finding) for check in checks for finding in check.findings)
-        self.flag(name for check in checks for finding in check.faults for name in finding.episodes)
         shown = [f"{check}: {', '.join(one.episodes) or 'all'}: {one.text}" for check, one in found[:MAX_FINDINGS]]
         more = [f"and {len(found) - MAX_FINDINGS} more"] if len(found) > MAX_FINDINGS else []
-        self.show_message("\n".join([*shown, *more]) or f"{len(checks)} checks found nothing")
-        return found
+        self.show_message("\n".join([*shown, *more]) or f"{number} checks found nothing")
+        return tuple(found)
 
 
-def described(edit: Edit) -> str:
-    """Return an edit in words."""
-    parts = [edit.episode]
+def described(name: str, edit: Edit) -> str:
+    """Return an edit of an episode in words."""
+    parts = [name]
     if edit.steps:
         parts.append(f"steps {edit.steps[0]} to {edit.steps[1]}")
     if edit.instruction:
         parts.append(f'"{edit.instruction}"')
-    return ", ".join(parts) if len(parts) > 1 else f"{edit.episode} whole, with its own instruction"
+    return ", ".join(parts) if len(parts) > 1 else f"{name} whole, with its own instruction"
 
 
 def meeting(text: str, facts: Mapping[str, Mapping[str, Fact]]) -> frozenset[str]:

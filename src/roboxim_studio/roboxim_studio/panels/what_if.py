@@ -74,6 +74,8 @@ class WhatIfPanel:
         self._beside.load(film.info.scene, offset_y_m=-BESIDE_M)
         differs = first_difference(first, film)
         where = "no tick differs" if differs is None else f"the first tick that differs is {differs}"
+        if differs == min(len(first), len(film)):
+            where = f"no tick differs until one of them ends, after tick {differs - 1}"
         self._show_message(
             f"beside: {film.title}\nit ends with {ending(film)} after {film.result.steps} actions; {where}"
         )
