@@ -58,6 +58,8 @@ def test_the_page_needs_the_token_and_asks_nothing_of_others(site):
         {"Origin": "http://evil.example"},
         {"Origin": "http://127.0.0.1:1"},
         {"Origin": "null"},
+        {"Host": "["},
+        {"Origin": "http://["},
     ],
 )
 def test_other_origins_and_names_are_refused_even_with_the_token(site, headers):

@@ -102,6 +102,16 @@ def test_the_expert_plays_what_was_drawn_until_it_is_edited(studio, bag, monkeyp
     assert "max_steps: 9" in asked[1]
 
 
+@pytest.mark.parametrize("purpose", ["demo", "eval"])
+def test_a_saved_task_names_only_commands_that_give_its_scenes(studio, tmp_path, purpose):
+    compose = studio.compose
+    compose._saves, compose._purpose.value = tmp_path, purpose
+    compose._choose()
+    compose.save("my_task")
+    assert ("roboxim generate" in compose._message.content) == (purpose == "demo")
+    assert f"--purpose {purpose}" in compose._message.content
+
+
 def test_a_drawn_task_of_several_steps_is_shown_and_solved_but_not_edited(studio, bag, monkeypatch, solved):
     compose, film = studio.compose, read_film(bag)
     studio.watch(film)

@@ -1,6 +1,7 @@
 import itertools
 import threading
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -256,6 +257,36 @@ def on_screen(client, point):
         float(camera.image_width / 2 + focal * seen[0] / seen[2]),
         float(camera.image_height / 2 + focal * seen[1] / seen[2]),
     )
+
+
+def test_a_page_can_name_no_value_that_an_input_does_not_offer(editor, tmp_path):
+    before = editor.desk.document
+    texture = next(handle for handle, _ in editor._room._set if handle.label == "table: texture")
+    texture.value = str(tmp_path / "secret.png")  # as a forged message of a page would
+    (called,) = texture._impl.update_cb
+    called(SimpleNamespace(client=object(), target=texture))
+    assert editor.desk.document is before
+    texture.value = texture.options[-1]
+    called(SimpleNamespace(client=object(), target=texture))
+    assert editor.desk.scene.look.table.texture == texture.options[-1]
+
+
+def test_an_edit_that_cannot_be_shown_is_named(studio, editor, monkeypatch):
+    def unknown(*_):
+        raise ConfigError("no such model")
+
+    monkeypatch.setattr(studio.view, "load", unknown)
+    editor.edit(lambda d: edits.with_instruction(d, "Lift the cube"))
+    assert studio.site._latest["alert"] == "no such model"
+
+
+def test_left_and_right_are_those_of_the_scene_that_is_shown(studio, document):
+    scene = document.fixed.scene
+    back = Pose(position=(1.0, 0.0, 0.0), quat_xyzw=(0.0, 0.0, 1.0, 0.0))
+    for robot, sign in ((scene.robot, 1.0), (replace(scene.robot, pose=back), -1.0)):
+        studio.view.load(replace(scene, robot=robot))
+        (left,) = [label for label in studio.view._compass if label.text == "left"]
+        assert sign * left.position[1] > 0.1
 
 
 def test_a_page_can_name_no_other_file_as_a_task(studio, tmp_path):

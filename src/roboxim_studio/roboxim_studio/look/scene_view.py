@@ -19,7 +19,7 @@ from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
 from roboxim_core.poses import Pose
-from roboxim_core.specs import CameraSpec, LookSpec, SceneSpec
+from roboxim_core.specs import CameraSpec, LookSpec, SceneSpec, TableSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.vision.renderer import RenderBody
 from roboxim_studio.look.glb import body_glb
@@ -62,6 +62,7 @@ class SceneView:
         self._look: LookSpec | None = None
         self._arrows: Any = None
         self._compass: list[Any] = []
+        self._compass_of: tuple[Pose, TableSpec] | None = None
         self._poses: ScenePoses | None = None
         self._arms: dict[str, ArmKinematics] = {}
         self._frame = server.scene.add_frame(root, show_axes=False)
@@ -100,7 +101,7 @@ class SceneView:
             self._show_cameras(scene.cameras)
             if scene.look != self._look and not self._bare:
                 self._show_lights(scene.look)
-            if not self._compass and not self._bare:
+            if not self._bare and self._compass_of != (scene.robot.pose, scene.table):
                 self._show_compass(scene)
 
     def show(self, state: StateRecord, images: Mapping[str, npt.NDArray[np.uint8]] | None = None) -> None:
@@ -251,6 +252,9 @@ class SceneView:
 
     def _show_compass(self, scene: SceneSpec) -> None:
         """Write left, right, front and behind, as instructions mean them, beside the table."""
+        for label in self._compass:
+            label.remove()
+        self._compass, self._compass_of = [], (scene.robot.pose, scene.table)
         base = scene.robot.pose
         half_x, half_y = scene.table.size[0] / 2 + 0.08, scene.table.size[1] / 2 + 0.08
         middle = base.inverse().apply(scene.table.center)

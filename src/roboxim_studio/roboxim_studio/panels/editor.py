@@ -89,8 +89,8 @@ class EditorPanel:
                 self._build()
             self.folder.visible = self.active = True
             self.select(NOTHING)
+            self._site.send(hint=HINT, alert="")
             self.desk.refresh()
-        self._site.send(hint=HINT, alert="")
 
     def close(self) -> None:
         """Edit nothing: the scene that the view is to show cannot be edited."""
@@ -117,8 +117,8 @@ class EditorPanel:
             self.active = True
             self._view.load(self.desk.scene)
             self._checked()
-            self.desk.refresh()
             self._site.send(hint=HINT, alert="")
+            self.desk.refresh()
 
     def _build(self) -> None:
         gui = self._gui
@@ -162,8 +162,9 @@ class EditorPanel:
     def edit(self, change: Callable[[FixedTask], FixedTask]) -> None:
         """Make an edit; one that is not possible is named, and nothing changes."""
         assert self.desk is not None
-        problem = self.desk.edit(change)
-        self._site.send(alert=problem)
+        self._site.send(alert="")
+        if problem := self.desk.edit(change):
+            self._site.send(alert=problem)
 
     def save(self, name: str) -> Path | None:
         """Save the document; returns the file, or None if it is not possible, which the panel says."""

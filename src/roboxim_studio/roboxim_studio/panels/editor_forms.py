@@ -44,11 +44,15 @@ class Editor(Protocol):
 
 
 def by_person(act: Callable[[Any], object]) -> Callable[[Any], None]:
-    """Return a callback for values that a person sets; those that the studio sets itself change nothing."""
+    """Return a callback for values that a person sets; those that the studio sets itself change nothing.
+
+    A page may send a value that the list of an input does not have, e.g. the name of a file: it changes nothing either.
+    """
 
     def called(event: Any) -> None:
-        if event.client is not None:
-            act(event.target.value)
+        value = event.target.value
+        if event.client is not None and value in getattr(event.target, "options", (value,)):
+            act(value)
 
     return called
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from urllib.parse import unquote, urlsplit
+from urllib.parse import SplitResult, unquote, urlsplit
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Hosts by which a browser of this machine, or one behind an SSH tunnel, addresses the studio."""
@@ -40,11 +40,11 @@ class Access:
             For example ``""`` for the page and ``control`` for the control channel.
         """
         host = headers.get("Host") or ""
-        name = urlsplit(f"//{host}").hostname if host else None
+        name = _parts(f"//{host}").hostname if host else None
         if not self.open_network and name not in LOOPBACK:  # DNS rebinding: another name that resolves to this machine
             return None
         origin = headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != host:  # a page of another site
+        if origin is not None and _parts(origin).netloc != host:  # a page of another site
             return None
         token, _, rest = unquote(path.partition("?")[0]).lstrip("/").partition("/")
         if not secrets.compare_digest(token.encode(), self.token.encode()):
@@ -54,3 +54,11 @@ class Access:
     def url(self, port: int) -> str:
         """Return the address to open."""
         return f"http://{LOOPBACK[0]}:{port}/{self.token}/"
+
+
+def _parts(url: str) -> SplitResult:
+    """Return the parts of a URL; one that is malformed has none."""
+    try:
+        return urlsplit(url)
+    except ValueError:
+        return SplitResult("", "", "", "", "")
