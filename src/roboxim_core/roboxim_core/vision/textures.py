@@ -7,10 +7,10 @@ roots of linear values, for which 8 bits suffice; a shader squares them. The ren
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -81,12 +81,13 @@ def _image(name: str) -> Image.Image:
     from PIL import Image, ImageOps
 
     path, geometry = file_of(name)
+    geometries: Mapping[str, Any] = {}
     try:
         if geometry:
             geometries = read_scene(path).geometry
             image = base_color_image(geometries[geometry]) if geometry in geometries else None
         else:
-            geometries, image = {}, ImageOps.exif_transpose(Image.open(path))
+            image = ImageOps.exif_transpose(Image.open(path))
         if image is not None:
             image.load()
     except (OSError, ValueError, KeyError, SyntaxError, Image.DecompressionBombError) as error:  # SyntaxError: Pillow's
