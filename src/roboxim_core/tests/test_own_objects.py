@@ -180,6 +180,23 @@ def test_the_image_of_a_material_is_its_texture_and_must_exist(package):
         assert pixels(visual.material.texture)[0, 0].tolist() == [0, 0, 255]
 
 
+@pytest.mark.parametrize(
+    ("shapes", "visual", "said"),
+    [
+        (17 * ["sphere, size: [0.02]"], "", "17 collision shapes other than boxes and rings, PyBullet takes 16"),
+        ([*16 * ["sphere, size: [0.02]"], "box, size: [0.02, 0.02, 0.02]"], "", "16 collision shapes .* takes 15"),
+        (["sphere, size: [0.02]"], "lathe, size: [0, -0.02, 0.02, 0, 0.02, 0, 0, 0.02]", "points 2 and 3 are the same"),
+        (["sphere, size: [0.02]"], "tube, size: [0, 0, 0, 0.02, 0, 0, 0, 0.01]", "points 1 and 2 are the same"),
+    ],
+)
+def test_shapes_that_cannot_be_simulated_or_drawn_are_errors(package, shapes, visual, said):
+    file = package / "it.yaml"
+    drawn = f", visual: [{{kind: {visual}}}]" if visual else ""
+    collision = ", ".join(f"{{kind: {shape}}}" for shape in shapes)
+    file.write_text(f"name: it\nlinks: [{{mass: 0.05, collision: [{collision}]{drawn}}}]\n")
+    assert any(re.search(said, message) for message in errors(file)), errors(file)
+
+
 @pytest.mark.parametrize("source", ["mesh: meshes/box.stl\nmass: 0.05", "urdf: urdf/box.urdf"])
 def test_colors_and_materials_change_the_look_of_meshes_and_urdfs(package, source):
     written(package)

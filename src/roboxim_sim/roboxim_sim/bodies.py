@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roboxim_core.errors import ConfigError, ErrorCode, SimError
-from roboxim_core.models.description import JointModel, LinkModel, ObjectModel, Shape
+from roboxim_core.models.description import MAX_SHAPES, JointModel, LinkModel, ObjectModel, Shape
 from roboxim_core.models.visuals import FLOOR_Z
 from roboxim_core.poses import IDENTITY, Pose
 from roboxim_core.specs import EntitySpec, TableSpec
@@ -246,8 +246,6 @@ def _hull(path: str) -> trimesh.Trimesh:
     return hull
 
 
-MAX_SHAPES = 16
-"""Maximum number of shapes of one link; PyBullet silently drops further ones."""
 MESH_MARGIN_M = 0.001
 """Margin that PyBullet adds to the convex parts of a mesh on every side [m]. Hulls of objects keep it: they collide
 that much too far out, and recorded states depend on it."""
@@ -257,10 +255,6 @@ def _with_boxes_in_a_file(shapes: Sequence[Shape]) -> list[Shape]:
     """Return the same geometry with fewer shapes: the boxes become convex parts of one mesh file."""
     boxes = tuple(shape for shape in shapes if shape.kind == "box")
     others = [shape for shape in shapes if shape.kind != "box"]
-    if len(others) >= MAX_SHAPES:
-        raise ConfigError(
-            f"a link has {len(others)} collision shapes other than boxes, PyBullet takes {MAX_SHAPES - 1}; merge some"
-        )
     return [*others, Shape(kind="hull", mesh=_boxes_file(boxes))]
 
 

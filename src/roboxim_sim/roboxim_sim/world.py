@@ -25,6 +25,8 @@ from roboxim_sim.snapshots import Snapshot
 from roboxim_sim.trajectories import JointTrajectory, checked_trajectory
 
 R = TypeVar("R")
+JOINT_SLACK = 1e-3
+"""How far beyond its limits a joint may be set: the physics exceeds them slightly, too [m or rad]."""
 
 
 class World(EpisodeWorld):
@@ -171,16 +173,19 @@ class World(EpisodeWorld):
 
         Raises:
             SimError: With code ``NO_SCENE`` or ``UNKNOWN_ENTITY``.
-            InvalidRequestError: On a number that is not finite or an unknown joint.
+            InvalidRequestError: On a number that is not finite, an unknown joint, or a position beyond its limits.
         """
         body = self._object(name)
         limits.require_finite(f"the velocities of '{name}'", [*linear_velocity, *angular_velocity], limits.SPEED)
         limits.require_finite(f"the joint positions of '{name}'", (joint_positions or {}).values(), limits.LENGTH_M)
         if pose is not None:
             limits.require_finite(f"the position of '{name}'", pose.position, limits.LENGTH_M)
-        for joint in joint_positions or {}:
-            if joint not in body.joint_names:
+        joints = {joint.name: joint for joint in body.model.joints}
+        for joint, position in (joint_positions or {}).items():
+            if joint not in joints:
                 raise InvalidRequestError(f"'{name}' has no joint '{joint}'; {one_of(body.joint_names, joint)}")
+            low, high = joints[joint].lower - JOINT_SLACK, joints[joint].upper + JOINT_SLACK
+            limits.require_range(f"the position of joint '{joint}' of '{name}'", position, low, high)
         body.set_state(pose, linear_velocity, angular_velocity, joint_positions)
         return self._disturb()
 

@@ -249,6 +249,8 @@ def test_rejected_requests_do_not_change_the_world(world: World) -> None:
     assert _code(lambda: world.release("f")) == ErrorCode.LEASE_HELD
     assert _code(lambda: world.set_entity_state("cub_0", Pose())) == ErrorCode.UNKNOWN_ENTITY
     assert _code(lambda: world.set_entity_state("cube_0", joint_positions={"slide": 0.1})) == ErrorCode.INVALID_REQUEST
+    world.spawn_entity(EntitySpec(name="c", model="cabinet", pose=Pose(position=(0.6, 0.4, 0.1))))
+    assert _code(lambda: world.set_entity_state("c", joint_positions={"top": 5.0})) == ErrorCode.INVALID_REQUEST
     assert (
         _code(lambda: world.set_entity_state("cube_0", Pose(), linear_velocity=(math.nan, 0.0, 0.0)))
         == ErrorCode.INVALID_REQUEST

@@ -33,6 +33,10 @@ class Shape:
     """Pose in the link."""
 
 
+MAX_SHAPES = 16
+"""Most collision shapes of one link that PyBullet takes; it silently drops further ones. Boxes are packed into one."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Visual:
     """A visual shape in a link's frame."""

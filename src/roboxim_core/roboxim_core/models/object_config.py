@@ -13,6 +13,7 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.bounds import links_bounds
 from roboxim_core.models.description import (
     AFFORDANCES,
+    MAX_SHAPES,
     GraspAnnotation,
     Handle,
     JointModel,
@@ -143,6 +144,13 @@ class ObjectConfig(ObjectNotes):
             if joint.spring > 0 and joint.resistance > 0:
                 raise ConfigError(f"joint '{joint.name}' cannot both spring back and stay: give spring or resistance")
         for link in self.links:
+            packed = [shape for shape in link.collision if shape.kind in ("box", "ring")]
+            unpacked = len(link.collision) - len(packed)
+            if unpacked + bool(packed) > MAX_SHAPES:
+                raise ConfigError(
+                    f"link '{link.name}' has {unpacked} collision shapes other than boxes and rings, "
+                    f"PyBullet takes {MAX_SHAPES - bool(packed)}; merge some"
+                )
             for shape in link.collision:
                 if shape.kind not in SHAPE_SIZES:
                     raise ConfigError(

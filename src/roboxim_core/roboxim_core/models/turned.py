@@ -27,7 +27,7 @@ def lathe(size: tuple[float, ...]) -> TriangleMesh:
             outside to the top, then, of a vessel, down the inside.
 
     Raises:
-        ValueError: On fewer than two points or a negative radius.
+        ValueError: On fewer than two points, equal points in a row, or a negative radius.
     """
     return _revolved(_pairs(size))
 
@@ -49,11 +49,12 @@ def tube(size: tuple[float, ...]) -> TriangleMesh:
         size: Points on its axis, each with the radius there: x0, y0, z0, r0, x1, ... [m].
 
     Raises:
-        ValueError: On fewer than two points.
+        ValueError: On fewer than two points, or equal points in a row.
     """
     if len(size) < 8 or len(size) % 4:
         raise ValueError("a tube needs x, y, z, radius of at least two points")
     points = np.asarray(size, dtype=float).reshape(-1, 4)
+    _require_distinct(points[:, :3])
     curve = _spline(points) if len(points) > 2 else points
     path, radius = curve[:, :3], np.maximum(curve[:, 3], 0.0)
     tangent = np.gradient(path, axis=0)
@@ -103,7 +104,16 @@ def _pairs(size: tuple[float, ...]) -> Array:
     points = np.asarray(size, dtype=float).reshape(-1, 2)
     if points[:, 0].min() < 0:
         raise ValueError("a profile's radius must not be negative")
+    _require_distinct(points)
     return points
+
+
+def _require_distinct(points: Array) -> None:
+    """Refuse equal points in a row, between which a surface has no direction."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if steps.min() < 1e-9:
+        number = int(steps.argmin())
+        raise ValueError(f"points {number + 1} and {number + 2} are the same: leave one out")
 
 
 def _spline(points: Array) -> Array:
