@@ -16,11 +16,11 @@ from typing import Any
 
 import yaml
 from benchmarks._harness import Bench
-from scipy.stats import binomtest
 from tqdm import tqdm
 
 from roboxim_bringup.core_graph import CoreActor, CoreGraph
 from roboxim_core.episode import EpisodeRunner, RunConfig
+from roboxim_eval.statistics.rates import success_rate
 from roboxim_policies.builtin import RandomPolicy
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_tasks.skills import SKILLS
@@ -87,10 +87,11 @@ class Runner:
 def row(skill: str, outcomes: list[dict[str, Any]]) -> dict[str, Any]:
     """Return a skill's row."""
     solved = sum(one["solved"] for one in outcomes)
-    low, high = binomtest(solved, len(outcomes)).proportion_ci(method="wilson")
+    rate = success_rate(solved, len(outcomes))
     ends = Counter(one["reason"] or one["outcome"] for one in outcomes)
     return {
-        "skill": skill, "episodes": len(outcomes), "solved": solved, "low": round(low, 3), "high": round(high, 3),
+        "skill": skill, "episodes": len(outcomes), "solved": solved,
+        "low": round(rate.low, 3), "high": round(rate.high, 3),
         "ends": ", ".join(f"{reason} {count}" for reason, count in ends.most_common(3)),
     }  # fmt: skip
 
