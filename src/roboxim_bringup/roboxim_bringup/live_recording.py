@@ -34,7 +34,11 @@ class Graph(Protocol):
 
 
 class LiveRecording:
-    """A growing bag. A context manager: the bag is complete at its end. Messages arrive in the node's thread."""
+    """A growing bag. A context manager: the bag is complete at its end. Messages arrive in the node's thread.
+
+    A message's time is that of its reception by the middleware, as in bags of ``ros2 bag record``. The node's thread
+    may take it much later, when the machine is busy.
+    """
 
     def __init__(self, folder: Path, look_up: Callable[[str], Any], topics: Collection[str] = ()) -> None:
         """Make the bag.
@@ -87,8 +91,8 @@ class LiveRecording:
             self._schemas[topic] = schema
             self._layouts[topic] = message_layout(schema)
 
-            def take(data: bytes, topic: str = topic) -> None:
-                self._arrived.put((topic, time.time_ns(), bytes(data)))
+            def take(data: bytes, info: dict[str, Any], topic: str = topic) -> None:
+                self._arrived.put((topic, info["received_timestamp"], bytes(data)))
 
             self._subscriptions[topic] = graph.node.create_subscription(cls, topic, take, qos, raw=True)
             graph.wake()

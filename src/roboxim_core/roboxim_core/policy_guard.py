@@ -189,11 +189,11 @@ class GuardedPolicy:
         if self.description.privileged and window.newest.state is None:
             raise InvalidRequestError(f"{self._label} is privileged: its observations need the state record")
         for observation in window.observations:
-            for name, image in observation.images.items():
-                if image.dtype != np.uint8 or image.shape[2:] != (3,):
+            for name, given in observation.images.items():
+                if given.dtype != np.uint8 or given.shape[2:] != (3,):
                     raise InvalidRequestError(
-                        f"{self._label} needs RGB images, uint8 of shape (height, width, 3), got {image.dtype} of "
-                        f"shape {image.shape} from camera '{name}'"
+                        f"{self._label} needs RGB images, uint8 of shape (height, width, 3), got {given.dtype} of "
+                        f"shape {given.shape} from camera '{name}'"
                     )
             for camera in self.description.cameras:
                 image = observation.images.get(camera.name)
