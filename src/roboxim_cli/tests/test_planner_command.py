@@ -43,7 +43,7 @@ def test_dumps_are_listed_replayed_and_shown(folder: Path, tmp_path: Path) -> No
     assert "GOAL_UNREACHABLE: goal unreachable" in listed.output
     replayed = run(command, ["replay", "latest", "--folder", str(folder)], catch_exceptions=False)
     assert "the same answer" in replayed.output
-    shown = ["show", "unreachable-0.json", "--folder", str(folder), "--out", str(tmp_path / "out")]
+    shown = ["show", "unreachable-0.dump.json", "--folder", str(folder), "--out", str(tmp_path / "out")]
     assert "mm" in run(command, shown, catch_exceptions=False).output
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["unreachable-0_scene.png"]
 

@@ -30,6 +30,8 @@ from roboxim_planner.queries import QUERIES, Answer, Query, run_query
 from roboxim_planner.scene import Body, PlanningScene, PointHull
 
 FORMAT = 1
+SUFFIX = ".dump.json"
+"""End of the names of dumps. Other files in their folder are never listed or removed."""
 
 
 class Steps:
@@ -160,7 +162,7 @@ def write_dump(dump: Dump, folder: Path, name: str, *, kept: int) -> Path:
         "query": _finite(to_plain(self_contained(dump.query))),
     }
     number = 0
-    while (path := folder / f"{name}-{number}.json").exists():
+    while (path := folder / f"{name}-{number}{SUFFIX}").exists():
         number += 1
     with tempfile.NamedTemporaryFile("w", dir=folder, suffix=".partial", delete=False) as file:
         json.dump(data, file, allow_nan=False)
@@ -192,7 +194,7 @@ def read_dump(path: Path) -> Dump:
 def list_dumps(folder: Path) -> list[Path]:
     """Return the dumps of a folder, newest first."""
     dated = []
-    for path in folder.glob("*.json"):
+    for path in folder.glob(f"*{SUFFIX}"):
         with contextlib.suppress(FileNotFoundError):  # another process has removed it
             dated.append((path.stat().st_mtime_ns, path))
     return [path for _, path in sorted(dated, reverse=True)]

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -112,14 +113,15 @@ def test_timeout_is_repeated_at_its_step_and_can_be_let_run(planner: Planner, tm
 
 def test_folder_is_bounded_and_names_are_found(planner: Planner, tmp_path: Path, down: Pose) -> None:
     written = dump(queries(down)[5], planner)
+    other = tmp_path / "other.json"
+    other.write_text("{}")
+    os.utime(other, (1e9, 1e9))
     paths = [write_dump(written, tmp_path, "same", kept=3) for _ in range(5)]
     assert sorted(list_dumps(tmp_path)) == sorted(paths[2:])
     assert find_dump("latest", tmp_path) == list_dumps(tmp_path)[0]
     assert find_dump(paths[3].name, tmp_path) == paths[3]
-    with pytest.raises(ConfigError, match="no dump 'sam-3.json'"):
-        find_dump("sam-3.json", tmp_path)
-    other = tmp_path / "other.json"
-    other.write_text("{}")
+    with pytest.raises(ConfigError, match="no dump 'sam-3'"):
+        find_dump("sam-3", tmp_path)
     with pytest.raises(ConfigError, match="not a planner dump"):
         read_dump(other)
 

@@ -96,7 +96,7 @@ def show(source: str, out: Path, folder: Path | None) -> None:
     target: {pose: {position: {x: 0.5, y: 0.2, z: 0.2}, orientation: {x: 1.0, w: 0.0}}}
     """
     from roboxim_core.models.library import ModelLibrary
-    from roboxim_planner.dumps import answered, dump_folder, find_dump, read_dump
+    from roboxim_planner.dumps import SUFFIX, answered, dump_folder, find_dump, read_dump
     from roboxim_planner.pipeline import Planner
 
     library = ModelLibrary()
@@ -107,7 +107,7 @@ def show(source: str, out: Path, folder: Path | None) -> None:
     else:
         path = find_dump(source, folder or dump_folder())
         kept = read_dump(path)
-        query, name = kept.query, path.stem
+        query, name = kept.query, path.name.removesuffix(SUFFIX)
         planner = Planner(library.robot(query.robot), kept.config)
         outcome, answer = kept.run_again(library)
     _draw(query, planner, outcome, answer, out, name)

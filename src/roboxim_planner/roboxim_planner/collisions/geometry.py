@@ -15,6 +15,8 @@ from roboxim_planner import native
 from roboxim_planner.scene import BodyShape, PlanningScene, PointHull, TriangleMesh
 
 Array = npt.NDArray[np.float64]
+THINNEST_HULL = 1e-6
+"""Smallest thickness of a hull, as a fraction of its largest coordinate or of 1 m. coal crashes below about 5e-7."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,16 +78,24 @@ def convex_hull(points: npt.ArrayLike) -> coal.ConvexBase:
     """Return the convex hull of points of shape (N, 3) [m].
 
     Raises:
-        InvalidRequestError: When the points do not span a volume. (coal itself would crash the process.)
+        InvalidRequestError: When the points span no volume, or a thinner one than `THINNEST_HULL`. (coal itself would
+            crash the process.)
     """
     from scipy.spatial import ConvexHull, QhullError
 
-    array = np.asarray(points, dtype=float)
+    array = np.asarray(points, dtype=float).reshape(-1, 3)
     try:
         corners = array[ConvexHull(array).vertices]
     except (QhullError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise InvalidRequestError(f"{len(array)} points span no convex hull with a volume: {reason}") from None
+    thinnest = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)[2][-1]
+    thickness, needed = float(np.ptp(corners @ thinnest)), THINNEST_HULL * max(1.0, float(np.abs(corners).max()))
+    if thickness < needed:
+        raise InvalidRequestError(
+            f"{len(array)} points span a hull only {thickness:.2g} m thick, at least {needed:.2g} m needed; "
+            "give a flat part as a mesh, or make it thicker"
+        )
     vertices = coal.StdVec_Vec3s()
     for corner in corners:
         vertices.append(corner)
