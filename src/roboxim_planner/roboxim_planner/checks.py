@@ -15,7 +15,7 @@ from roboxim_planner.collisions.sweep import PaddedSweep, Sweep
 from roboxim_planner.ik import IkConfig, IkSolver
 from roboxim_planner.motions.paths import SearchConfig, Watch
 from roboxim_planner.motions.timing import MotionLimits
-from roboxim_planner.motions.verify import Finding, verify_samples
+from roboxim_planner.motions.verify import Finding, at_fault, verify_samples
 from roboxim_planner.plans import MotionOptions
 from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
@@ -82,7 +82,7 @@ class SceneChecks:
             times: Strictly increasing, shape (N,) [s]; none: no speeds are checked.
             velocities: Shape (N, dof) [rad/s]; none: computed from positions and times.
             accelerations: Shape (N, dof) [rad/s^2]; none: not checked.
-            options: Limits and padding; if they give no padding, 0.
+            options: Limits, path constraint and padding; if they give no padding, 0.
             watch: Called now and then; ends the request by raising.
         """
         options = options or MotionOptions()
@@ -102,9 +102,9 @@ class SceneChecks:
             if array is not None and (array.shape != path.shape or not np.isfinite(array).all()):
                 raise InvalidRequestError(f"{name} must be finite and of the positions' shape {path.shape}")
             rates.append(array)
-        sweep: Sweep = self._worlds(scene, MotionOptions())
+        sweep: Sweep = self._worlds(scene, MotionOptions(upright=options.upright))
         if options.padding_m:
-            sweep = Sweep(self.robot, scene, padding=options.padding_m)
+            sweep = Sweep(self.robot, scene, padding=options.padding_m, upright=options.upright)
         return verify_samples(sweep, self.limits(options), path, clock, rates[0], rates[1], watch)
 
     def inverse_kinematics(
@@ -119,6 +119,9 @@ class SceneChecks:
         watch: Watch = no_watch,
     ) -> Array:
         """Return arm configurations that put the TCP at a pose, nearest to a reference first.
+
+        A ``count`` of 1 is quick: the solution that a descent from the reference reaches, or else the nearest free one,
+        or without a scene the first found. It may not be the nearest of all.
 
         Args:
             target: The TCP in the world.
@@ -152,10 +155,10 @@ class SceneChecks:
         if len(free) < count:
             watch("goals", 1)
             solutions = self.ik.solve(goal, near, seed=seed + 1, thorough=True)
-            free = world.free_states(solutions)
+            free += world.free_states(solutions)
         if not free:
             raise self._no_free_goal(world, solutions)
-        return np.array(free[:count])
+        return self.ik.distinct(np.array(free), near)[:count]
 
     def limits(self, options: MotionOptions) -> MotionLimits:
         """Return the limits of this robot under the options."""
@@ -190,10 +193,12 @@ class SceneChecks:
 
     @staticmethod
     def _no_free_goal(world: CollisionWorld, solutions: Array) -> PlannerError:
-        contacts = "; ".join(str(contact) for contact in world.contacts(solutions[0])[:3])
+        contacts, broken = at_fault(world, solutions[0])
+        causes = "; ".join([*(str(contact) for contact in contacts[:3]), *broken])
         return PlannerError(
-            f"no collision-free goal among {len(solutions)} configurations; at the nearest {contacts}",
-            ErrorCode.GOAL_IN_COLLISION,
+            f"no {'collision-free' if contacts else 'upright'} goal among {len(solutions)} configurations; "
+            f"at the nearest {causes}",
+            ErrorCode.GOAL_IN_COLLISION if contacts else ErrorCode.CONSTRAINT_VIOLATED,
         )
 
 

@@ -147,6 +147,8 @@ class _Picture:
             self._add(body_triangles(body), color, 1.0)
             self._entries[body.name] = color
         joints = [plan.sample(max(plan.duration / 120.0, 1e-3)).positions for plan in plans]
+        if not joints and isinstance(query, RetimeQuery):
+            joints = [np.array(query.path)]
         self.lines = [self._tcp(path) for path in joints]
         self.goals = _goals(query)
         self._robots(query, np.concatenate(joints) if joints else None, answer)

@@ -84,7 +84,7 @@ class IkSolver:
         """
         times = self.config.thorough if thorough else 1
         starts, enough = times * self.config.starts, times * self.config.enough
-        return self._distinct(self._found(target, reference, seed=seed, starts=starts, enough=enough), reference)
+        return self.distinct(self._found(target, reference, seed=seed, starts=starts, enough=enough), reference)
 
     def _found(self, target: Pose, reference: Array, *, seed: int, starts: int, enough: int) -> Array:
         """Return solutions; search longer before giving up, because a few poses at the edge of reach need it."""
@@ -110,7 +110,8 @@ class IkSolver:
             rotation_tolerance=config.rotation_tolerance_rad,
         )
 
-    def _distinct(self, found: Array, reference: Array) -> Array:
+    def distinct(self, found: Array, reference: Array) -> Array:
+        """Return solutions of shape (N, dof) without repeats (`IkConfig.same_rad`), nearest to a reference first."""
         return native.distinct(found, reference, self.config.same_rad)
 
 

@@ -38,6 +38,7 @@ from trajectory_msgs.msg import JointTrajectory
 from roboxim_core import limits
 from roboxim_core.errors import (
     ErrorCode,
+    InvalidRequestError,
     PlannerError,
     RequestTimeoutError,
     RoboximError,
@@ -229,6 +230,19 @@ class PlannerNode(RoboximNode):
             named = self._revision(msg.episode_id, int(msg.seq))
         return scene_from_msg(msg, named, self._library)
 
+    def _planner_and_scene(self, robot_id: str, msg: Any) -> tuple[Planner, PlanningScene]:
+        """Return a request's scene and the planner of its robot; no robot: the named scene's, or the node's parameter.
+
+        Raises:
+            InvalidRequestError: If the request names another robot than its scene has.
+        """
+        scene = self._scene(msg)
+        if scene.robot and robot_id and robot_id != scene.robot:
+            raise InvalidRequestError(
+                f"the scene's robot is '{scene.robot}', the request's '{robot_id}'; leave the request's empty"
+            )
+        return self._planner(robot_id or scene.robot), scene
+
     def _plan(
         self,
         msg: MotionRequest,
@@ -251,8 +265,8 @@ class PlannerNode(RoboximNode):
         """
         begun = time.monotonic()
         watch = self._watch(float(msg.timeout), progress)
-        planner = self._planner(msg.robot)
-        common = queries.common_from_msg(msg, planner, self._scene(msg.scene), with_start=with_start)
+        planner, scene = self._planner_and_scene(msg.robot, msg.scene)
+        common = queries.common_from_msg(msg, planner, scene, with_start=with_start)
         try:
             answer = self._run(common.planner, make(common), watch, entered)
         except PathIncompleteError as error:
@@ -343,8 +357,8 @@ class PlannerNode(RoboximNode):
 
     def _on_compute_ik(self, msg: ComputeIK.Request, response: ComputeIK.Response) -> None:
         watch = self._watch(0.0)
-        planner = self._planner(msg.robot)
-        query = queries.ik_query(planner, self._scene(msg.scene), msg)
+        planner, scene = self._planner_and_scene(msg.robot, msg.scene)
+        query = queries.ik_query(planner, scene, msg)
         answer = self._run(planner, query, watch)
         response.solutions = [convert.joints_to_msg(q, planner.robot.description) for q in answer.solutions]
 
@@ -352,9 +366,10 @@ class PlannerNode(RoboximNode):
         planner = self._planner(msg.robot)
         robot = planner.robot
         joints = robot.check_joints(convert.joints_from_msg(msg.state, robot.description, what="state"), what="state")
+        fingers = convert.fingers_from_msg(msg.state, robot.description, what="state")
         base = convert.optional_pose(msg.robot_pose_in_world, what="robot_pose_in_world")
         links = list(msg.links) or [robot.description.tcp_link]
-        poses = [base @ robot.fk(joints, link) for link in links]
+        poses = [base @ robot.fk(joints, link, fingers) for link in links]
         for pose in poses:
             stamped = PoseStamped()
             stamped.header.frame_id = convert.WORLD
@@ -363,8 +378,7 @@ class PlannerNode(RoboximNode):
         response.links = links
 
     def _on_check_state(self, msg: CheckState.Request, response: CheckState.Response) -> None:
-        planner = self._planner(msg.robot)
-        scene = self._scene(msg.scene)
+        planner, scene = self._planner_and_scene(msg.robot, msg.scene)
         state = queries.start_from_msg(msg.state, planner.robot, scene, what="state")
         finding = planner.check_state(scene, state)
         response.valid = finding.valid
@@ -374,8 +388,7 @@ class PlannerNode(RoboximNode):
     def _on_check_trajectory(self, msg: CheckTrajectory.Request, response: CheckTrajectory.Response) -> None:
         response.first_invalid_index = -1
         watch = self._watch(float(msg.request.timeout))
-        planner = self._planner(msg.request.robot)
-        scene = self._scene(msg.request.scene)
+        planner, scene = self._planner_and_scene(msg.request.robot, msg.request.scene)
         arrays = convert.trajectory_from_msg(msg.trajectory, planner.robot.description)
         finding = planner.check_trajectory(scene, **arrays, options=convert.options_from_msg(msg.request), watch=watch)
         response.valid = finding.valid

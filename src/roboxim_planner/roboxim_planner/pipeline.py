@@ -22,9 +22,9 @@ from roboxim_planner.motions.lines import plan_line
 from roboxim_planner.motions.paths import IMPROVERS, SearchConfig, Watch, improve, search, shorten, without_repeats
 from roboxim_planner.motions.points import Trajectory
 from roboxim_planner.motions.timing import Motion, MotionSequence, still, time_path
-from roboxim_planner.motions.verify import verify_motion
+from roboxim_planner.motions.verify import at_fault, verify_motion
 from roboxim_planner.plans import MotionOptions, PathIncompleteError, Plan
-from roboxim_planner.scene import PlanningScene
+from roboxim_planner.scene import ROBOT, AllowedContact, PlanningScene
 
 Array = npt.NDArray[np.float64]
 Goals = tuple[Array, list[int]]
@@ -50,7 +50,10 @@ class Planner(SceneChecks):
         options: MotionOptions | None = None,
         watch: Watch = no_watch,
     ) -> Plan:
-        """Plan a motion of the TCP to the nearest reachable of several poses.
+        """Plan a motion of the TCP to one of several poses.
+
+        That is the first pose to whose nearest configuration the straight joint line is free. If there is none, it is
+        the pose of the nearest configuration that a search reaches.
 
         Args:
             scene: Obstacles to avoid.
@@ -99,16 +102,31 @@ class Planner(SceneChecks):
         options = options or MotionOptions()
         worlds = self._worlds(scene, options)
         begin = self._check_start(worlds, start)
+        goal = self.check_goal(scene, target, options)
+        return self._plan(worlds, begin, (goal[None], [-1]), options, watch)
+
+    def check_goal(self, scene: PlanningScene, target: npt.ArrayLike, options: MotionOptions) -> Array:
+        """Return an arm configuration that a motion may end at, within the limits.
+
+        Args:
+            scene: Obstacles that it must not touch.
+            target: The arm configuration, shape (dof,) [rad].
+            options: The path constraint.
+
+        Raises:
+            PlannerError: ``GOAL_UNREACHABLE``, ``CONSTRAINT_VIOLATED`` or ``GOAL_IN_COLLISION``.
+            InvalidRequestError: On malformed input.
+        """
         goal = self.robot.check_joints(target, what="target")
         broken = self.robot.limit_violations(goal)
         if broken:
             raise PlannerError(f"goal unreachable: {'; '.join(broken)}", ErrorCode.GOAL_UNREACHABLE)
         goal = np.clip(goal, self.robot.lower, self.robot.upper)
         _check_upright(options, [scene.robot_pose @ self.robot.fk(goal)])
-        if not worlds.exact.is_free(goal):
-            contacts = "; ".join(str(contact) for contact in worlds.exact.contacts(goal))
-            raise PlannerError(f"goal in collision: {contacts}", ErrorCode.GOAL_IN_COLLISION)
-        return self._plan(worlds, begin, (goal[None], [-1]), options, watch)
+        world = self._worlds(scene, options).exact
+        if not world.is_free(goal):
+            raise PlannerError(f"goal in collision: {_contacts(world, goal)}", ErrorCode.GOAL_IN_COLLISION)
+        return goal
 
     def plan_cartesian(
         self,
@@ -130,7 +148,7 @@ class Planner(SceneChecks):
             waypoints: Poses of the TCP in the world, at least one.
             options: Limits and seed; the padding is not used, because a line is checked exactly.
             min_fraction: Smallest fraction of the lines that counts as success, 0..1.
-            ignore_collisions: Whether collisions are ignored.
+            ignore_collisions: Whether collisions are ignored; limits and the path constraint always hold.
             wide: Whether to search widely; see `plan_line`.
             watch: Called regularly; ends the request by raising.
 
@@ -146,7 +164,10 @@ class Planner(SceneChecks):
         limits = self.limits(options)
         worlds = self._worlds(scene, options)
         begin = self._check_start(worlds, start, collisions=not ignore_collisions)
-        sweep = None if ignore_collisions else worlds
+        sweep: Sweep | None = worlds
+        if ignore_collisions:
+            alone = PlanningScene(robot_pose=scene.robot_pose, allowed=(AllowedContact(body_a=ROBOT),))
+            sweep = None if options.upright is None else self._worlds(alone, options)
         motions: list[Motion] = []
         at, done, reason = begin, 0.0, ""
         for i, waypoint in enumerate(waypoints):
@@ -177,9 +198,8 @@ class Planner(SceneChecks):
         begin = np.clip(begin, self.robot.lower, self.robot.upper)
         worlds.check_upright(begin)
         if collisions and not worlds.exact.is_free(begin):
-            contacts = "; ".join(str(contact) for contact in worlds.exact.contacts(begin))
             raise PlannerError(
-                f"start in collision: {contacts}; allow the contact or attach the body",
+                f"start in collision: {_contacts(worlds.exact, begin)}; allow the contact or attach the body",
                 ErrorCode.START_IN_COLLISION,
             )
         return begin
@@ -333,6 +353,10 @@ class Planner(SceneChecks):
             if verify_motion(sweep, self.robot, motion, limits, path[-1], explain=False).valid:
                 return motion, True
         return motion, False
+
+
+def _contacts(world: CollisionWorld, joints: Array) -> str:
+    return "; ".join(str(contact) for contact in at_fault(world, joints)[0])
 
 
 def _check_upright(options: MotionOptions, targets: list[Pose]) -> None:

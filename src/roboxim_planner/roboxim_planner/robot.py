@@ -6,6 +6,7 @@ order of magnitude faster to check.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -228,12 +229,13 @@ class PlannerRobot:
         q[..., self._finger_q] = (*driven, *gripper.followed(driven))
         return q
 
-    def fk(self, joints: npt.ArrayLike, link: str = "") -> Pose:
+    def fk(self, joints: npt.ArrayLike, link: str = "", fingers: Sequence[float] = ()) -> Pose:
         """Return the pose of a link in the robot's base.
 
         Args:
             joints: Arm joints [rad], shape (dof,).
             link: Name of the link; empty: the TCP.
+            fingers: Positions of the fingers' driven joints [m or rad]; empty: closed.
 
         Raises:
             InvalidRequestError: If there is no such link.
@@ -243,7 +245,7 @@ class PlannerRobot:
         if link not in self.kinematics.link_names:
             names = one_of(self.kinematics.link_names, link)
             raise InvalidRequestError(f"robot '{self.description.id}' has no link '{link}'; {names}")
-        return self.kinematics.link_poses(joints)[link]
+        return self.kinematics.link_poses(joints, fingers)[link]
 
     def tcp_poses(self, joints: npt.ArrayLike) -> list[Pose]:
         """Return the poses of the TCP in the robot's base along a path of arm configurations, shape (N, dof)."""

@@ -109,18 +109,31 @@ class Attached:
 
 @dataclass(frozen=True, kw_only=True)
 class AllowedContact:
-    """A pair that may touch. Each side is a link or body by name, ``robot``, ``gripper``, or empty for any."""
+    """A pair that may touch. Each side is a link or body by name, ``robot`` or ``gripper``."""
 
     body_a: str
     """First of the pair."""
     body_b: str = ""
-    """Second of the pair."""
+    """Second of the pair; empty: any."""
+
+    def __post_init__(self) -> None:
+        """Check the names.
+
+        Raises:
+            InvalidRequestError: If the first is empty, which would switch every check off.
+        """
+        if not self.body_a:
+            raise InvalidRequestError(
+                f"an allowed contact needs body_a, a link, a body, {ROBOT} or {GRIPPER}; only body_b may be empty"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanningScene:
     """An immutable snapshot of the bodies around a robot."""
 
+    robot: str = ""
+    """Model id of the simulated robot; empty if the scene is not a simulated one."""
     robot_pose: Pose = IDENTITY
     """Pose of the robot's base in the world."""
     gripper_opening: float = 1.0
@@ -236,6 +249,7 @@ class PlanningScene:
             if shapes:
                 bodies.append(Body(name=entity.name, shapes=shapes, pose=placed.pose))
         return PlanningScene(
+            robot=spec.robot.model,
             robot_pose=spec.robot.pose,
             gripper_opening=min(1.0, max(0.0, state.robot.gripper_opening)),
             bodies=tuple(bodies),

@@ -242,9 +242,12 @@ class _Search:
         self, k: int, stage: Stage, at: Array, scene: PlanningScene, options: MotionOptions
     ) -> list[tuple[int, Array]]:
         """Return goal configurations, nearest first, each with the number of its goal."""
-        if stage.kind == "joints":
-            return [(-1, self._planner.robot.check_joints(stage.joints, what=f"stage '{stage.name}'"))]
         found: list[tuple[int, Array]] = []
+        if stage.kind == "joints":
+            goal = self._planner.robot.check_joints(stage.joints, what=f"stage '{stage.name}'")
+            with self._storing_error(k):
+                found.append((-1, self._planner.check_goal(scene, goal, options)))
+            return found
         for index, goal in enumerate(stage.goals):
             self._watch("goals", index)
             target = goal.resolve(self._tcp(at, scene))

@@ -127,6 +127,14 @@ def test_folder_is_bounded_and_names_are_found(planner: Planner, tmp_path: Path,
 
 
 @pytest.mark.thorough
+def test_a_path_that_cannot_be_retimed_is_drawn_also_without_objects(planner: Planner, tmp_path: Path) -> None:
+    query = RetimeQuery(robot="panda", path=(HOME, (9.8, *HOME[1:])))
+    outcome, answer = answered(query, planner)
+    assert outcome.error_code == ErrorCode.TRAJECTORY_INVALID
+    assert draw_scene(query, planner, answer, tmp_path / "path.png", error=outcome.error_msg).is_file()
+
+
+@pytest.mark.thorough
 def test_pictures_are_drawn(planner: Planner, tmp_path: Path, down: Pose) -> None:
     query = queries(down)[3]
     outcome, answer = answered(query, planner)

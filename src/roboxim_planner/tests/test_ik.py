@@ -5,7 +5,9 @@ from hypothesis import strategies as st
 
 from roboxim_core.errors import ErrorCode, PlannerError
 from roboxim_core.poses import Pose, distance
+from roboxim_planner.collisions.checker import CollisionWorld
 from roboxim_planner.pipeline import Planner
+from roboxim_planner.scene import PlanningScene
 
 FRACTIONS = st.lists(st.floats(0.0, 1.0), min_size=7, max_size=7)
 
@@ -29,6 +31,17 @@ def test_solutions_are_distinct_sorted_and_repeatable(planner: Planner) -> None:
     assert (np.diff(gaps) >= 0).all()
     assert min(np.abs(a - b).max() for i, a in enumerate(found) for b in found[:i]) > 0.05
     assert np.array_equal(found, planner.ik.solve(target, home, seed=3, thorough=True))
+
+
+def test_a_thorough_search_for_free_solutions_loses_no_nearer_one(planner: Planner) -> None:
+    reference = np.array([2.0, -0.6, -2.3, -0.9, 1.7, 2.6, -1.9])
+    target = planner.robot.fk([1.1, -0.5, -2.8973, -1.3, 1.7, 2.1, -1.0])
+    world = CollisionWorld(planner.robot, PlanningScene())
+    quick = world.free_states(planner.ik.solve(target, reference, seed=0))[0]
+    found = planner.inverse_kinematics(target, reference, scene=PlanningScene(), count=1000)
+    gaps = np.abs(found - reference).max(axis=1)
+    assert gaps[0] <= np.abs(quick - reference).max()
+    assert (np.diff(gaps) >= 0).all()
 
 
 def test_native_kinematics_agree_with_pinocchio(planner: Planner) -> None:

@@ -1,4 +1,5 @@
 import pickle
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,11 +16,12 @@ from roboxim_core.kinematics.delta import DeltaController, delta_between
 from roboxim_core.poses import Pose, distance
 from roboxim_planner.collisions.checker import CollisionWorld
 from roboxim_planner.collisions.sweep import Sweep
+from roboxim_planner.constraint import Upright
 from roboxim_planner.motions.cartesian import follow_line
 from roboxim_planner.motions.timing import MotionLimits, PolynomialMotion
 from roboxim_planner.motions.verify import verify_motion
 from roboxim_planner.pipeline import MotionOptions, PathIncompleteError, Planner
-from roboxim_planner.scene import AllowedContact, PlanningScene, box
+from roboxim_planner.scene import AllowedContact, Attached, PlanningScene, box
 
 Down = Callable[..., Pose]
 
@@ -199,6 +201,8 @@ def test_goal_list_reaches_the_reachable_one(tcp_down: Down, planner: Planner, t
 def test_goal_at_the_start_is_still(planner: Planner, table: PlanningScene) -> None:
     home = planner.named_state("home")
     assert planner.plan_to_joints(table, home, home).route == "still"
+    start = np.array([0.0, -0.2, 0.0, -2.2, 0.0, 2.0, 0.785])
+    assert planner.plan_to_joints(table, start, start + 1e-9 * np.eye(7)[0]).duration <= 1e-3
 
 
 @pytest.mark.parametrize(
@@ -329,6 +333,63 @@ def test_check_trajectory_finds_an_elbow_between_its_points(planner: Planner) ->
     assert "post" in (finding.contacts[0].body_a, finding.contacts[0].body_b)
     assert finding.index == 0
     assert planner.check_trajectory(PlanningScene(), [a, b]).valid
+    halfway = planner.check_trajectory(post, [a, b], [0.0, 10.0])
+    assert halfway.index == 0
+    assert 1.0 < halfway.time_s < 7.0
+
+
+def test_check_trajectory_keeps_its_padding_and_its_path_constraint(planner: Planner, tcp_down: Down) -> None:
+    low = planner.inverse_kinematics(tcp_down(0.5, 0.0, 0.3), planner.named_state("home"))[0]
+    path = [low, low + 1e-3]
+    below = PlanningScene(bodies=(box("block", (0.1, 0.1, 0.1), Pose(position=(0.5, 0.0, 0.23))),))
+    assert planner.check_trajectory(below, path).valid
+    finding = planner.check_trajectory(below, path, options=MotionOptions(padding_m=0.05))
+    assert re.search(r"finger and block are \d+\.\d mm apart, 50\.0 mm needed", str(finding))
+    leaning = low + [0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0]
+    upright = MotionOptions(upright=Upright(tolerance_rad=0.2))
+    for options in (upright, replace(upright, padding_m=0.01)):
+        assert "tilted" in str(planner.check_trajectory(PlanningScene(), [low, leaning], options=options))
+
+
+def test_a_line_keeps_its_path_constraint_also_where_it_ignores_collisions(planner: Planner, tcp_down: Down) -> None:
+    begin = planner.inverse_kinematics(tcp_down(0.5, 0.0, 0.3), planner.named_state("home"))[0]
+    leaning = planner.robot.fk(begin) @ Pose(quat_xyzw=(np.sin(0.4), 0.0, 0.0, np.cos(0.4)))
+    options = MotionOptions(upright=Upright(tolerance_rad=0.2))
+    table = PlanningScene(bodies=(box("table", (1.0, 1.0, 1.0), Pose(position=(0.5, 0.0, 0.0))),))
+    with pytest.raises(PathIncompleteError, match=r"only 25\.. % .* tilted by 0\.200 rad"):
+        planner.plan_cartesian(table, begin, [leaning], options, ignore_collisions=True, wide=False)
+    with pytest.raises(PlannerError, match="no upright goal among .* at the nearest the tool is tilted") as caught:
+        planner.plan_to_pose(PlanningScene(), begin, [tcp_down(2.0, 0.0, 0.0), leaning], options)
+    assert caught.value.code == ErrorCode.CONSTRAINT_VIOLATED
+
+
+def test_a_body_that_a_motion_could_not_leave_is_named_at_the_start(planner: Planner, tcp_down: Down) -> None:
+    """Verification refuses every motion from a start nearer than it can tell from a contact."""
+    start = planner.inverse_kinematics(tcp_down(0.5, 0.0, 0.3), planner.named_state("home"))[0]
+    cube = Attached(body=box("cube", (0.04, 0.04, 0.04)))
+    low = planner.robot.fk(start).position[2] - 0.02
+    for gap, refused in ((2e-6, True), (2e-5, False)):
+        block = box("block", (0.2, 0.2, 0.1), Pose(position=(0.5, 0.0, low - gap - 0.05)))
+        scene = PlanningScene(bodies=(block,), attached=(cube,), gripper_opening=0.5)
+        lift = tcp_down(0.5, 0.0, 0.4)
+        if not refused:
+            assert planner.plan_to_pose(scene, start, [lift]).route == "direct"
+            continue
+        for plan in (planner.plan_to_pose, planner.plan_cartesian):
+            with pytest.raises(PlannerError, match="start in collision: block and cube touch") as caught:
+                plan(scene, start, [lift])
+            assert caught.value.code == ErrorCode.START_IN_COLLISION
+
+
+def test_a_line_whose_curve_leaves_a_limit_is_done_up_to_there(planner: Planner) -> None:
+    """The spline between configurations that keep joint 2's limit passes it by a milliradian near the end."""
+    start = np.array([0.59, -0.39, -0.78, -3.07, -0.22, 2.4, 1.63])
+    begin = planner.robot.fk(start)
+    end = replace(begin, position=tuple(np.add(begin.position, (0.16, -0.12, -0.12)).tolist()))
+    with pytest.raises(PathIncompleteError, match="panda_joint2 reaches") as caught:
+        planner.plan_cartesian(PlanningScene(), start, [end], ignore_collisions=True, wide=False)
+    assert 0.7 < caught.value.partial.fraction < 1.0
+    assert not planner.robot.limit_violations(caught.value.partial.end)
 
 
 def test_an_elbow_that_only_the_rollout_moves_is_found(planner: Planner, tcp_down: Down) -> None:
@@ -370,6 +431,10 @@ def test_check_trajectory_finds_limits(planner: Planner, table: PlanningScene) -
     finding = planner.check_trajectory(PlanningScene(), beyond)
     assert "panda_joint1 reaches" in str(finding)
     assert finding.index == 2
+    jump = home + np.outer([0.0, 0.01, 0.02, 1.02, 1.03], [1, 0, 0, 0, 0, 0, 0])
+    assert planner.check_trajectory(table, jump, np.arange(5) * 0.1).index == 2, "the jump begins at point 2"
+    fast = np.outer([0, 0, 0, 9, 0], np.ones(7))
+    assert planner.check_trajectory(table, jump[[0] * 5], np.arange(5), fast).index == 3
     for bad in ({"times": [0.0, 0.0]}, {"times": [0.0]}, {"velocities": [[0.0] * 7]}):
         with pytest.raises(InvalidRequestError):
             planner.check_trajectory(table, path, **bad)

@@ -78,6 +78,12 @@ def test_failure_names_the_stage_and_a_deadline_ends_it(planner: Planner, table:
         plan_sequence(planner, blocked, start, (stages[0], shift(-0.05, "dig")))
     assert caught.value.code == ErrorCode.START_IN_COLLISION
 
+    beyond = tuple((planner.robot.upper + 0.1).tolist())
+    ready = Stage(kind="joints", name="ready", joints=beyond)
+    with pytest.raises(PlannerError, match=r"stage 'ready' \(1 of 2\): goal unreachable") as caught:
+        plan_sequence(planner, table, start, (ready, shift(-0.05, "dig")))
+    assert caught.value.code == ErrorCode.GOAL_UNREACHABLE
+
     def late(stage: str, iterations: int) -> None:
         raise RequestTimeoutError("late")
 
@@ -102,6 +108,8 @@ def test_retimed_path_is_near_and_within_limits(planner: Planner) -> None:
         _, v, a, j = plan.motion.evaluate(np.arange(0.0, plan.duration, 1e-3))
         for values, limit in ((v, limits.velocity), (a, limits.acceleration), (j, limits.jerk)):
             assert (np.abs(values) <= 1.001 * limit).all()
+    loop = path[[0, 3, 0]]
+    assert np.ptp(retime(planner, loop).sample(1e-3).positions[:, 0]) > 0.5 * np.ptp(loop[:, 0])
     exact = retime(planner, path[::30], stop_at_points=True)
     samples = exact.sample(1e-3).positions
     assert max(np.abs(samples - point).max(axis=1).min() for point in path[::30]) < 2e-3

@@ -144,13 +144,24 @@ class CollisionWorld:
         """The same scene in coal; built on first use and shared by all paddings."""
         return self._coal()
 
-    def contacts(self, joints: npt.ArrayLike) -> tuple[ContactPair, ...]:
-        """Return the pairs that touch at an arm configuration, deepest first, one per pair of names."""
-        return self.coal.contacts(np.asarray(joints, dtype=float), self.padding)
+    def contacts(self, joints: npt.ArrayLike, within: float = 1e-9) -> tuple[ContactPair, ...]:
+        """Return the pairs that touch at an arm configuration, deepest first, one per pair of names.
+
+        Args:
+            joints: Arm configuration, shape (dof,) [rad].
+            within: Distance, beyond the padding, up to which a pair counts as touching [m].
+        """
+        return self.coal.contacts(np.asarray(joints, dtype=float), self.padding, within)
 
     def is_free(self, joints: npt.ArrayLike) -> bool:
-        """Return whether an arm configuration touches nothing."""
-        return self.native.path_is_free(joints, self.margins(SEARCH_RESOLUTION_M))
+        """Return whether an arm configuration touches nothing, by the measure of a motion's proof (`TOUCH_M`)."""
+        return self.native.path_is_free(joints, self._of_states)
+
+    @property
+    def _of_states(self) -> native.Margins:
+        if self._eased is not None:
+            return self.margins(SEARCH_RESOLUTION_M)
+        return native.Margins(self.padding + TOUCH_M, TOUCH_M, SEARCH_RESOLUTION_M)
 
     def edge_is_free(self, start: npt.ArrayLike, end: npt.ArrayLike, resolution: float = SEARCH_RESOLUTION_M) -> bool:
         """Return whether the straight joint-space edge is free, both ends included.
@@ -218,11 +229,11 @@ class CollisionWorld:
         return self.native.clearance(np.asarray(joints, dtype=float), cap)
 
     def free_states(self, states: Iterable[Array]) -> list[Array]:
-        """Return the arm configurations that touch nothing, at `SEARCH_RESOLUTION_M`."""
+        """Return the arm configurations that are free; see `is_free`."""
         candidates = np.array(list(states))
         if not len(candidates):
             return []
-        return list(candidates[self.native.free_states(candidates, self.margins(SEARCH_RESOLUTION_M))])
+        return list(candidates[self.native.free_states(candidates, self._of_states)])
 
 
 def _flat(pairs: list[tuple[int, int]]) -> list[int]:

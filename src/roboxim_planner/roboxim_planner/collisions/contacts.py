@@ -18,7 +18,6 @@ from roboxim_planner.scene import GRIPPER, ROBOT, AllowedContact, Body, BodyShap
 
 Array = npt.NDArray[np.float64]
 _WORLD_JOINT = 0
-_TOUCHING_M = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,11 +30,17 @@ class ContactPair:
     """Robot link or body."""
     depth: float
     """Penetration, positive [m]; with padding, the missing distance."""
+    apart_m: float
+    """Distance between the two [m]; 0: they touch."""
     position: Vec3
     """A point of the contact in the world [m]."""
 
     def __str__(self) -> str:
         """Format the pair for an error message."""
+        if self.apart_m >= 5e-5:
+            needed = self.apart_m + self.depth
+            apart = f"{1000.0 * self.apart_m:.1f} mm apart, {1000.0 * needed:.1f} mm needed"
+            return f"{self.body_a} and {self.body_b} are {apart}"
         if self.depth < 5e-5:
             return f"{self.body_a} and {self.body_b} touch"
         return f"{self.body_a} and {self.body_b} overlap by {1000.0 * self.depth:.1f} mm"
@@ -140,12 +145,13 @@ class ContactModel:
             return False
         return all(self._distance(pair) > 0.0 for pair in self._flat)
 
-    def contacts(self, joints: Array, padding: float = 0.0) -> tuple[ContactPair, ...]:
+    def contacts(self, joints: Array, padding: float, within: float) -> tuple[ContactPair, ...]:
         """Return every pair that touches at an arm configuration, deepest first, one per pair of names.
 
         Args:
             joints: Arm configuration, shape (dof,) [rad].
             padding: Distance from obstacles below which they count as touching [m].
+            within: Distance, beyond the padding, up to which a pair counts as touching [m].
         """
         q = self._robot.full(joints, self._scene.gripper_opening)
         pin.updateGeometryPlacements(self._robot.model, self._robot.scratch, self._model, self._data, q)
@@ -153,14 +159,14 @@ class ContactModel:
         own = len(self._robot.geometry.geometryObjects)
         for k, pair in enumerate(self._model.collisionPairs):
             allowed = padding if max(pair.first, pair.second) >= own else 0.0
-            if self._distance(k) > max(allowed, _TOUCHING_M):
+            if self._distance(k) > allowed + within:
                 continue
             result = self._data.distanceResults[k]
             names = self._names[pair.first], self._names[pair.second]
             x, y, z = self._base.act(0.5 * (result.getNearestPoint1() + result.getNearestPoint2()))
             found = ContactPair(
                 body_a=names[0], body_b=names[1], depth=max(0.0, allowed - result.min_distance),
-                position=(float(x), float(y), float(z)),
+                apart_m=max(0.0, result.min_distance), position=(float(x), float(y), float(z)),
             )  # fmt: skip
             if names not in deepest or found.depth > deepest[names].depth:
                 deepest[names] = found

@@ -15,8 +15,8 @@ from roboxim_core.poses import Pose
 from roboxim_planner.collisions.sweep import Sweep
 from roboxim_planner.motions.cartesian import LinePath, follow_line, follow_line_widely, time_line
 from roboxim_planner.motions.paths import Watch
-from roboxim_planner.motions.timing import Motion, MotionLimits, still
-from roboxim_planner.motions.verify import at_fault, between, verify_motion
+from roboxim_planner.motions.timing import Motion, MotionLimits
+from roboxim_planner.motions.verify import LIMIT_PERIOD_S, at_fault, between, verify_motion
 from roboxim_planner.robot import PlannerRobot
 
 Array = npt.NDArray[np.float64]
@@ -58,23 +58,34 @@ def plan_line(
         wide: Whether to search widely (see `follow_line_widely`) if the plain line ends early; takes about a hundred
             times as long.
     """
-    plain = _line(robot, sweep, follow_line(robot, start, target), limits)
+    plain = _line(robot, sweep, follow_line(robot, start, target), limits, watch)
     if plain.part == 1.0 or not wide:
         return plain
     world = None if sweep is None else sweep.exact
-    wider = _line(robot, sweep, follow_line_widely(robot, start, target, world, watch), limits)
+    wider = _line(robot, sweep, follow_line_widely(robot, start, target, world, watch), limits, watch)
     return wider if wider.part > plain.part + 1e-9 else plain
 
 
-def _line(robot: PlannerRobot, sweep: Sweep | None, path: LinePath, limits: MotionLimits) -> Line:
+def _line(robot: PlannerRobot, sweep: Sweep | None, path: LinePath, limits: MotionLimits, watch: Watch) -> Line:
     count, reason = _free_part(sweep, path.joints)
     reason = reason or path.reason
-    motion: Motion = time_line(path.cut(count), limits)
-    finding = verify_motion(sweep, robot, motion, limits)
-    if not finding.valid:  # only the curve between the configurations breaks a limit
+    while True:
+        motion: Motion = time_line(path.cut(count), limits)
+        finding = verify_motion(sweep, robot, motion, limits)
+        if finding.valid or count < 2:
+            return Line(motion=motion, part=path.part(count), end=path.joints[count - 1], reason=reason)
+        # only the curve between the configurations breaks a limit: end before the place where it does
         reason = f"the timed motion is not valid: {finding}"
-        return Line(motion=still(path.joints[0]), part=0.0, end=path.joints[0], reason=reason)
-    return Line(motion=motion, part=path.part(count), end=path.joints[count - 1], reason=reason)
+        watch("verify", count)
+        count = max(1, min(count - 1, _nearest(path.joints, motion, finding.index)))
+
+
+def _nearest(path: Array, motion: Motion, index: int) -> int:
+    """Return the index of the configuration that is nearest to a motion at a millisecond, the last one for -1."""
+    if index < 0:
+        return len(path) - 1
+    there = motion.evaluate(np.array([LIMIT_PERIOD_S * index]))[0][0]
+    return int(np.argmin(np.abs(path - there).max(axis=1)))
 
 
 def _free_part(sweep: Sweep | None, path: Array) -> tuple[int, str]:

@@ -30,6 +30,8 @@ _OMPL_LOCK = threading.Lock()
 _WATCH_EVERY = 16
 ou.setLogLevel(ou.LOG_NONE)  # OMPL warns about each new seed, although seeding under the lock is reproducible
 
+SAME_RAD = 1e-7
+"""Waypoints that differ by at most this in every joint count as one [rad]."""
 IMPROVERS = ("BITstar", "RRTstar", "InformedRRTstar")
 """Planners that keep improving a path."""
 FINDERS = ("RRTConnect", "LBKPIECE1", "BKPIECE1", "KPIECE1", "RRT")
@@ -250,7 +252,7 @@ def without_repeats(path: Array) -> Array:
     """Drop waypoints that equal their predecessor; the last waypoint always stays."""
     kept = [path[0]]
     for point in path[1:]:
-        if np.abs(point - kept[-1]).max() > 1e-7:
+        if np.abs(point - kept[-1]).max() > SAME_RAD:
             kept.append(point)
     if len(kept) > 1:
         kept[-1] = path[-1]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from roboxim_core.errors import ErrorCode, InvalidRequestError, PlannerError
 from roboxim_planner.checks import no_watch
 from roboxim_planner.collisions.sweep import Sweep
-from roboxim_planner.motions.paths import Watch, without_repeats
+from roboxim_planner.motions.paths import SAME_RAD, Watch, without_repeats
 from roboxim_planner.motions.timing import still, time_path
 from roboxim_planner.motions.verify import Finding, verify_motion
 from roboxim_planner.pipeline import MotionOptions, Plan, Planner
@@ -112,7 +112,7 @@ def simplified(path: Array, tolerance: float, watch: Watch = no_watch) -> Array:
         along = np.clip(inner @ chord / max(float(chord @ chord), 1e-18), 0.0, 1.0)
         away = np.abs(inner - along[:, None] * chord).max(axis=1)
         worst = int(np.argmax(away))
-        if away[worst] > tolerance:
+        if away[worst] > tolerance or np.abs(chord).max() <= SAME_RAD:  # a closed path keeps its farthest point
             middle = first + 1 + worst
             kept.add(middle)
             pending += [(first, middle), (middle, last)]

@@ -285,6 +285,8 @@ def time_path(
             time, piece = _blend_piece(path[i + 1], corners[i], speeds[i + 1], directions[i], directions[i + 1])
             durations.append(np.array([time]))
             pieces.append(piece)
+    if not durations:
+        return still(path[-1])
     breaks = np.concatenate([[0.0], np.cumsum(np.concatenate(durations))])
     require_duration(float(breaks[-1]))
     return PolynomialMotion(breaks, np.concatenate(pieces, axis=1))

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_planner import native
-from roboxim_planner.collisions.checker import CollisionWorld, ContactPair
+from roboxim_planner.collisions.checker import TOUCH_M, CollisionWorld, ContactPair
 from roboxim_planner.collisions.sweep import Sweep
 from roboxim_planner.motions.paths import Watch
 from roboxim_planner.motions.timing import Motion, MotionLimits
@@ -42,7 +42,7 @@ class Finding:
     time_s: float = -1.0
     """Time of the first collision [s]; negative: none."""
     index: int = -1
-    """For a sampled trajectory: its first point at or after the first fault; -1: none."""
+    """The last point of a trajectory, or millisecond of a motion, at or before the first fault; -1: none."""
 
     @property
     def valid(self) -> bool:
@@ -88,8 +88,9 @@ def verify_motion(
     hit = -1 if sweep is None or not explain else sweep.first_hit(q)
     if sweep is not None and hit < 0:
         hit = _witnessed_hit(sweep, q)
+    index = _first_beyond(robot, q, limits, v, a, j) if violations and explain else -1
     if sweep is None or hit < 0:
-        return Finding(violations=violations)
+        return Finding(violations=violations, index=index)
     if not explain:
         return Finding(violations=(_COLLIDES,))
     contacts, broken = at_fault(sweep.exact, q[hit])
@@ -97,7 +98,8 @@ def verify_motion(
         contacts, broken = at_fault(sweep.exact, q[max(0, hit - 1)])
     if not contacts and not broken:
         broken = (f"the arm grazes something just before {times[hit]:.3f} s",)
-    return Finding(contacts=contacts, violations=violations + broken, time_s=float(times[hit]))
+    index = hit if index < 0 else min(index, hit)
+    return Finding(contacts=contacts, violations=violations + broken, time_s=float(times[hit]), index=index)
 
 
 def _witnessed_hit(sweep: Sweep, path: Array) -> int:
@@ -136,17 +138,16 @@ def verify_samples(
     robot = sweep.robot
     if times is not None and velocities is None and len(positions) > 1:
         velocities = np.diff(positions, axis=0) / np.diff(times)[:, None]
-        velocities = np.concatenate([velocities[:1], velocities])
+        velocities = np.concatenate([velocities, velocities[-1:]])  # of the line after each point
     violations = _limit_violations(
         robot, times, positions, limits, velocities=velocities, accelerations=accelerations, jerks=None
     )
-    inside = (positions >= robot.lower - 1e-6) & (positions <= robot.upper + 1e-6)
-    first = int(np.argmin(inside.all(axis=1))) if not inside.all() else -1
+    first = _first_beyond(robot, positions, limits, velocities, accelerations, None) if violations else -1
     hit = _first_hit(sweep.exact, positions, watch)
     if hit < 0.0:
         hit = float(_witnessed_hit(sweep, positions))
     if hit < 0.0:
-        return Finding(violations=violations, index=first if first >= 0 else (0 if violations else -1))
+        return Finding(violations=violations, index=first)
     index = int(hit)
     contacts, broken = at_fault(sweep.exact, between(positions, hit))
     if not contacts and not broken:
@@ -154,7 +155,7 @@ def verify_samples(
     return Finding(
         contacts=contacts,
         violations=violations + broken,
-        time_s=-1.0 if times is None else float(times[index]),
+        time_s=-1.0 if times is None else float(np.interp(hit, np.arange(len(times)), times)),
         index=index if first < 0 else min(first, index),
     )
 
@@ -172,11 +173,10 @@ def _first_hit(world: CollisionWorld, path: Array, watch: Watch) -> float:
 def at_fault(world: CollisionWorld, joints: Array) -> tuple[tuple[ContactPair, ...], tuple[str, ...]]:
     """Return why an arm configuration is not free: the pairs that touch, and a sentence if the tool is tilted."""
     tilt = world.tilt(joints)
+    contacts = world.contacts(joints)
     if world.upright is None or tilt <= world.upright.tolerance_rad:
-        return world.contacts(joints), ()
-    return world.contacts(joints), (
-        f"the tool is tilted by {tilt:.3f} rad, {world.upright.tolerance_rad:g} rad allowed",
-    )
+        return contacts or world.contacts(joints, 2.0 * TOUCH_M), ()
+    return contacts, (f"the tool is tilted by {tilt:.3f} rad, {world.upright.tolerance_rad:g} rad allowed",)
 
 
 def between(path: Array, place: float) -> Array:
@@ -219,13 +219,41 @@ def _limit_violations(
     return tuple(found)
 
 
+def _first_beyond(
+    robot: PlannerRobot,
+    positions: Array,
+    limits: MotionLimits,
+    velocities: Array | None,
+    accelerations: Array | None,
+    jerks: Array | None,
+) -> int:
+    """Return the index of the first point that breaks a limit; see `_limit_violations`. -1: none."""
+    beyond = ((positions < robot.lower - 1e-6) | (positions > robot.upper + 1e-6)).any(axis=1)
+    for values, limit in (
+        (velocities, limits.velocity),
+        (accelerations, limits.acceleration),
+        (jerks, limits.jerk),
+    ):
+        if values is not None:
+            beyond |= (np.abs(values) > _SLACK * limit).any(axis=1)
+    if limits.limits_tcp and velocities is not None:
+        beyond |= (robot.arm.tcp_speeds(positions, velocities) > _tcp_bounds(limits)).any(axis=1)
+    return int(np.argmax(beyond)) if beyond.any() else -1
+
+
+def _tcp_bounds(limits: MotionLimits) -> Array:
+    """Return the largest speed [m/s] and angular speed [rad/s] of the TCP, shape (2,), with their slack."""
+    return np.array([limits.tcp_speed, limits.tcp_rot_speed]) * (_SLACK + 0.01)
+
+
 def _tcp_violations(robot: PlannerRobot, positions: Array, velocities: Array, limits: MotionLimits) -> list[str]:
     rates = robot.arm.tcp_speeds(positions, velocities)
     found = []
-    for what, unit, speeds, limit in (
-        ("speed", "m/s", rates[:, 0], limits.tcp_speed),
-        ("angular speed", "rad/s", rates[:, 1], limits.tcp_rot_speed),
+    linear, angular = _tcp_bounds(limits)
+    for what, unit, speeds, limit, bound in (
+        ("speed", "m/s", rates[:, 0], limits.tcp_speed, linear),
+        ("angular speed", "rad/s", rates[:, 1], limits.tcp_rot_speed, angular),
     ):
-        if speeds.max() > limit * (_SLACK + 0.01):
+        if speeds.max() > bound:
             found.append(f"{what} of the TCP reaches {speeds.max():.4g} {unit}, its limit is {limit:.4g}")
     return found

@@ -62,9 +62,7 @@ def _finger_points(planner: Planner, joints: np.ndarray) -> list[np.ndarray]:
     ("size", "thickness", "words"),
     [(1.0, 0.0, "no convex hull"), (0.1, 1e-15, "thick"), (0.1, 5e-7, "thick"), (50.0, 2e-6, "thick")],
 )
-def test_flat_hull_is_refused_instead_of_crashing(
-    planner: Planner, size: float, thickness: float, words: str
-) -> None:
+def test_flat_hull_is_refused_instead_of_crashing(planner: Planner, size: float, thickness: float, words: str) -> None:
     turn = Rotation.identity() if thickness == 0.0 else Rotation.from_rotvec([0.3, 0.5, 0.7])
     corners = turn.apply(0.5 * np.array(EYE) * [size, size, thickness])
     flat = Body(name="flat", shapes=(PointHull(points=tuple(map(tuple, corners.tolist()))),))

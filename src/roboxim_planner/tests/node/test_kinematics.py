@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from planner_graph import HOME, Graph, target
+from planner_graph import HOME, NAMES, Graph, target
 from roboxim_interfaces.srv import ComputeFK, ComputeIK
+from sensor_msgs.msg import JointState
 
 pytestmark = pytest.mark.ros
 
@@ -18,6 +19,12 @@ def test_ik_fk_round_trip(graph: Graph) -> None:
         assert (pose.position.x, pose.position.y, pose.position.z) == pytest.approx((0.5, 0.2, 0.25), abs=1e-5)
     links = graph.call(ComputeFK, "compute_fk", ComputeFK.Request(state=found.solutions[0], links=["panda_link1"]))
     assert links.poses[0].pose.position.z == pytest.approx(0.333)
+    request = ComputeFK.Request(links=["panda_leftfinger", "panda_rightfinger"])
+    for opening in (0.0, 0.03):
+        request.state = JointState(name=[*NAMES, "panda_finger_joint2"], position=[*HOME, opening])
+        left, right = (p.pose.position for p in graph.call(ComputeFK, "compute_fk", request).poses)
+        apart = np.linalg.norm(np.subtract((left.x, left.y, left.z), (right.x, right.y, right.z)))
+        assert apart == pytest.approx(2.0 * opening, abs=1e-6)
     assert "no link 'hnd'" in str(
         graph.refused(ComputeFK, "compute_fk", ComputeFK.Request(state=found.solutions[0], links=["hnd"]))
     )

@@ -16,8 +16,11 @@ from roboxim_interfaces.srv import CheckState, ComputeFK, ComputeIK, PlanCartesi
 from sensor_msgs.msg import JointState
 from shape_msgs.msg import Mesh, MeshTriangle, SolidPrimitive
 
+from roboxim_core.config import digest
 from roboxim_core.errors import ErrorCode
+from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
+from roboxim_core.specs import RobotSpec, SceneSpec
 from roboxim_core.state import EntityState
 from roboxim_ros.messages.conversions import fill_pose, to_msg
 
@@ -39,6 +42,14 @@ def test_scene_by_revision(graph: Graph) -> None:
     request.scene.allowed_contacts = [AllowedContact(body_a="target", body_b="gripper")]
     request.scene.ignored_objects = ["table"]
     assert graph.call(CheckState, "check_state", request).valid
+    request.scene.allowed_contacts[0].body_a = ""
+    assert "only body_b may be empty" in str(graph.refused(CheckState, "check_state", request))
+    request.scene.allowed_contacts[0].body_a = "target"
+    request.robot = "ur5"
+    error = graph.refused(CheckState, "check_state", request)
+    assert error.code == ErrorCode.INVALID_REQUEST
+    assert "the scene's robot is 'panda', the request's 'ur5'" in str(error)
+    request.robot = "panda"
     graph.states.publish(to_msg(state("e7", 1), StateRecordMsg))
     request.scene.seq = 1
     assert graph.call(CheckState, "check_state", request).valid
@@ -48,6 +59,21 @@ def test_scene_by_revision(graph: Graph) -> None:
     error = graph.refused(CheckState, "check_state", request)
     assert error.code == ErrorCode.STALE_SCENE
     assert "sim/get_state" in str(error), "only the sim knows the newest state, and there is none here"
+
+
+def test_robot_of_a_request_without_one_is_the_scenes(graph: Graph) -> None:
+    """The node's default is the Panda; a motion of its joints would take another arm elsewhere."""
+    spec = SceneSpec(robot=RobotSpec(model="ur5"))
+    ur5 = ModelLibrary().robot("ur5")
+    record = state("e9", 0)
+    arm = replace(
+        record.robot, joint_names=ur5.joint_names, joint_commands=ur5.home, joint_positions=ur5.home,
+        joint_velocities=(0.0,) * 6,
+    )  # fmt: skip
+    record = replace(record, robot=arm, entities=(), scene_hash=digest(spec))
+    graph.scenes.publish(to_msg(spec, SceneSpecMsg))
+    graph.states.publish(to_msg(record, StateRecordMsg))
+    assert graph.call(CheckState, "check_state", CheckState.Request(scene=SceneMsg(episode_id="e9"))).valid
 
 
 def test_attached_entity_lifts_with_the_arm(graph: Graph) -> None:
