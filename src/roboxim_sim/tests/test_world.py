@@ -235,7 +235,9 @@ def _code(call: object) -> ErrorCode:
 def test_rejected_requests_do_not_change_the_world(world: World) -> None:
     with World(LIBRARY) as empty:
         assert _code(lambda: empty.tick(1, hold_action(1.0))) == ErrorCode.NO_SCENE
-    record = world.load(cubes(8), "e")
+    cabinet = EntitySpec(name="c", model="cabinet", pose=Pose(position=(0.6, 0.4, 0.1)))
+    scene = cubes(8)
+    record = world.load(replace(scene, entities=(*scene.entities, cabinet)), "e")
     assert _code(lambda: world.tick(2, hold_action(1.0))) == ErrorCode.WRONG_SEQ
     assert _code(lambda: world.tick(1, [math.nan] * 7)) == ErrorCode.INVALID_ACTION
     assert _code(lambda: world.tick(1, [0.0] * 6)) == ErrorCode.INVALID_ACTION
@@ -249,7 +251,6 @@ def test_rejected_requests_do_not_change_the_world(world: World) -> None:
     assert _code(lambda: world.release("f")) == ErrorCode.LEASE_HELD
     assert _code(lambda: world.set_entity_state("cub_0", Pose())) == ErrorCode.UNKNOWN_ENTITY
     assert _code(lambda: world.set_entity_state("cube_0", joint_positions={"slide": 0.1})) == ErrorCode.INVALID_REQUEST
-    world.spawn_entity(EntitySpec(name="c", model="cabinet", pose=Pose(position=(0.6, 0.4, 0.1))))
     assert _code(lambda: world.set_entity_state("c", joint_positions={"top": 5.0})) == ErrorCode.INVALID_REQUEST
     assert (
         _code(lambda: world.set_entity_state("cube_0", Pose(), linear_velocity=(math.nan, 0.0, 0.0)))
