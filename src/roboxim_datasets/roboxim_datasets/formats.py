@@ -6,6 +6,7 @@ from pathlib import Path
 
 from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_core.plain_data.results_log import RUN_FILE
+from roboxim_core.user_folders import expanded
 from roboxim_datasets import hdf5, lerobot, rlds  # importing a format registers it
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.depth import checked_unit, is_named_depth
@@ -28,7 +29,7 @@ def open_dataset(path: Path | str, *, format: str = "", depth_unit_m: float = 0.
         InvalidRequestError: When a unit of depth is stated of a dataset that says it itself or has no depth images.
         RecorderError: When the dataset's description is damaged, or of a version that is not known.
     """
-    place = Path(path)
+    place = expanded(path)
     if not place.exists():
         raise ConfigError(f"no such folder: {place}; expected a dataset, as 'roboxim export' makes it")
     found = [(name, at) for name in ([format] if format else FORMATS) for at in FORMATS[name]().find(place)]

@@ -22,6 +22,7 @@ from roboxim_core.actions import (
 )
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, one_of
 from roboxim_core.policies import ActionChunk, EpisodeStart, ObservationWindow, Policy
+from roboxim_core.user_folders import expanded
 from roboxim_policies.base import POLICIES, BasePolicy
 from roboxim_policies.learning.families import FAMILIES
 from roboxim_policies.recorded_actions import load_actions
@@ -125,7 +126,7 @@ class ReplayPolicy(BasePolicy):
             raise ConfigError("replay needs either a source (.npz, .json, .mcap, dataset) or actions")
         if source is not None:
             mode = _joint_control(control) if control else None
-            self._actions, self.semantics = load_actions(Path(source), episode=episode, control=mode)
+            self._actions, self.semantics = load_actions(expanded(source), episode=episode, control=mode)
             self.version = f"{Path(source).name}#{episode}"
         else:
             self._actions, self.semantics = _checked(actions), ActionSemantics()

@@ -9,6 +9,7 @@ from roboxim_core.config import from_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, RecorderError
 from roboxim_core.plain_data.results_log import RESULTS_FILE, ResultsLog
+from roboxim_core.user_folders import expanded
 from roboxim_recorder.bag_writer import PLACES
 
 SHOWN = 5
@@ -56,7 +57,7 @@ def run_bags(path: Path | str) -> RunBags:
         ConfigError: When there is no such folder, or a line of the results is not readable.
         RecorderError: When there is neither a bag nor a result that names one.
     """
-    folder = Path(path)
+    folder = expanded(path)
     run = folder.parent if folder.name == PLACES["keep"] else folder
     results = [result for result in read_results(run) if result.bag]
     if not results:
@@ -109,7 +110,7 @@ def list_bags(path: Path | str) -> list[Path]:
         ConfigError: When there is no such folder.
         RecorderError: When no bag is in it.
     """
-    folder = Path(path)
+    folder = expanded(path)
     if not folder.is_dir():
         what = "is a file; expected a run's folder or a folder of bags"
         raise ConfigError(f"{folder} {what}" if folder.exists() else f"no such folder: {folder}")

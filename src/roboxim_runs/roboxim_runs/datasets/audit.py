@@ -18,6 +18,7 @@ from roboxim_bringup.cores import CoreSegmentation
 from roboxim_core.errors import ConfigError, RecorderError, RoboximError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.user_folders import expanded
 from roboxim_datasets.audit import AUDIT_CHECKS, AuditEpisode, Auditor, AuditResult, Finding
 from roboxim_datasets.audit.report import AuditReport, Picture, write_audit
 from roboxim_datasets.audit.values import NO_EXPECTED
@@ -130,7 +131,7 @@ def audit_dataset(
         RecorderError: When the dataset's description is damaged, or the report cannot be written. An unreadable episode
             is reported; the others are audited.
     """
-    path, config = Path(path), config or AuditConfig()
+    path, config = expanded(path), config or AuditConfig()
     if out is not None:
         checked_path(out)
     total, entries, expected = _entries(path, config)
@@ -156,7 +157,7 @@ def audit_dataset(
     result = auditor.result()
     if out is None:
         return Audited(result=result, page=None)
-    folder = Path(out)
+    folder = expanded(out)
     report = AuditReport(
         title=f"Audit of {path}",
         result=result,

@@ -138,9 +138,9 @@ def export_dataset(
 
     if gate:
         exporter = EXPORTERS[format]()
-        place = exporter.path(Path(target), config if config is not None else exporter.config())
-        return gated(Path(target), place, export, refusal, overwrite=overwrite)
-    return export(Path(target), "overwrite" if overwrite else "keep")
+        place = exporter.path(expanded(target), config if config is not None else exporter.config())
+        return gated(expanded(target), place, export, refusal, overwrite=overwrite)
+    return export(expanded(target), "overwrite" if overwrite else "keep")
 
 
 def gated(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_core.errors import ConfigError
+from roboxim_core.user_folders import expanded
 from roboxim_datasets.choosing import chosen_plan
 from roboxim_datasets.compare import LOWEST_PSNR_DB, Comparison, Images, compare
 from roboxim_datasets.dataset import Dataset
@@ -57,10 +58,10 @@ def convert_dataset(
         RecorderError: ``EXPORT_REFUSED`` when the target exists or lies in the source; ``BAG_DAMAGED`` when the source
             cannot be read.
     """
-    opened = _opened(Path(source), instruction, depth_unit_m)
+    opened = _opened(expanded(source), instruction, depth_unit_m)
     plan = chosen_plan(opened, where) if where else plan_of(opened)
     reporter = Reporter(on_event, cancellation)
-    return _write(plan, Path(target), format, options, "convert", reporter, overwrite=overwrite, fps=fps)
+    return _write(plan, expanded(target), format, options, "convert", reporter, overwrite=overwrite, fps=fps)
 
 
 def _opened(source: Path, instruction: str, depth_unit_m: float) -> Dataset:
@@ -107,7 +108,7 @@ def merge_datasets(
     if not partial:
         require_all_shards(datasets)
     plan = plan_of(*datasets)
-    return _write_like(datasets[0], plan, Path(target), "merge", Reporter(on_event, cancellation), overwrite)
+    return _write_like(datasets[0], plan, expanded(target), "merge", Reporter(on_event, cancellation), overwrite)
 
 
 def split_dataset(
@@ -142,7 +143,7 @@ def split_dataset(
     """
     dataset = open_dataset(source)
     plan = split_plan(dataset, counts)
-    target, reporter = Path(target), Reporter(on_event, cancellation)
+    target, reporter = expanded(target), Reporter(on_event, cancellation)
     if not apart:
         return dict.fromkeys(plan, _write_like(dataset, plan, target, "split", reporter, overwrite))
     return {

@@ -28,6 +28,7 @@ from roboxim_core.recorded import recorded_parameters
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import RGB, CameraSpec, LightSpec, LookSpec, SceneSpec
 from roboxim_core.state import StateRecord
+from roboxim_core.user_folders import expanded
 from roboxim_core.vision.cameras import load_camera, with_noise_seed
 from roboxim_recorder import topics
 from roboxim_recorder.bag import BagReader, find_episode
@@ -268,7 +269,7 @@ def find_bags(sources: Iterable[Path | str]) -> list[Path]:
         ConfigError: When there is no such folder.
         RecorderError: When one holds no bag.
     """
-    return [bag for source in map(Path, sources) for bag in ([source] if source.is_file() else list_bags(source))]
+    return [bag for source in map(expanded, sources) for bag in ([source] if source.is_file() else list_bags(source))]
 
 
 def rerender(

@@ -7,8 +7,12 @@ import pytest
 from roboxim_core.errors import RoboximError
 from roboxim_eval.answers.halving import HalvingConfig
 from roboxim_policies.bc.config import BCConfig
+from roboxim_policies.builtin import ReplayPolicy
+from roboxim_runs.datasets.audit import audit_dataset
 from roboxim_runs.datasets.corruption import corrupt
 from roboxim_runs.datasets.export import export_dataset
+from roboxim_runs.datasets.rewriting import convert_dataset
+from roboxim_runs.episodes.rerendering import RerenderConfig, rerender
 from roboxim_runs.evaluation import sweeping
 from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
 from roboxim_runs.policies.specs import PolicySpec
@@ -25,6 +29,10 @@ from roboxim_runs.training.run import train_policy
         lambda path, out: train_policy(path, out, BCConfig(steps=1)),
         lambda path, out: train_policy(path, out, start=path),
         lambda path, out: corrupt(path, out, "duplicate", 0.5),
+        lambda path, out: convert_dataset(path, out, "hdf5"),
+        lambda path, out: audit_dataset(path, out),
+        lambda path, out: rerender(path, out, RerenderConfig()),
+        lambda path, out: ReplayPolicy(path),
         lambda path, out: evaluate(
             EvaluationConfig(policies=PolicySpec(spec="bc", options={"checkpoint": path}), out=out)
         ),
