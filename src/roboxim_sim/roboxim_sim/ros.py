@@ -145,8 +145,13 @@ class StandardServices:
             response.result.error_message = str(error)
             return
         self._world.spawn_entity(entity)
+        try:
+            self._node.scene_changed()
+        except Exception:  # e.g. a texture that does not exist
+            self._world.delete_entity(name)
+            self._node.scene_changed()
+            raise
         response.entity_name = name
-        self._node.scene_changed()
 
     def _delete(self, request: Any, response: Any) -> None:
         self._world.delete_entity(request.entity)

@@ -82,9 +82,20 @@ class Listener:
         return found[-1]
 
 
+UNDRAWABLE = """name: it
+links:
+- {mass: 0.1, collision: [{kind: box, size: [0.05, 0.05, 0.05]}],
+   visual: [{kind: box, size: [0.05, 0.05, 0.05], material: {texture: none_of_that_name}}]}
+"""
+
+
 @pytest.fixture(scope="module")
-def clients() -> Iterator[Clients]:
-    with free_domain() as domain, NodeHost(domain_id=domain) as host:
+def clients(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Clients]:
+    folder = tmp_path_factory.mktemp("config")
+    (folder / "objects").mkdir()
+    (folder / "objects" / "undrawable.yaml").write_text(UNDRAWABLE)
+    with free_domain() as domain, NodeHost(domain_id=domain) as host, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROBOXIM_CONFIG_PATH", str(folder))
         host.add(lambda context: SimNode(context=context, parameters={"renderer": "tiny", "scene": ""}))
         with Clients("test", context=host.context) as made:
             yield made
@@ -403,6 +414,18 @@ def test_standard_services(clients: Clients) -> None:
     clients.call(ResetSimulation, "sim/reset_simulation", ResetSimulation.Request())
     entities = clients.call(GetEntities, "sim/get_entities", GetEntities.Request()).entities
     assert list(entities) == ["red_cube", "green_cube", "blue_cube"]
+
+
+def test_an_object_that_cannot_be_drawn_is_not_spawned(clients: Clients) -> None:
+    load(clients, SMALL)
+    spawn = SpawnEntity.Request(name="new", entity_resource=Resource(uri="undrawable"))
+    spawn.initial_pose.pose.position.z = 0.5
+    answer = clients.call(SpawnEntity, "sim/spawn_entity", spawn)
+    assert "unknown texture 'none_of_that_name'" in answer.result.error_message
+    entities = clients.call(GetEntities, "sim/get_entities", GetEntities.Request()).entities
+    assert list(entities) == [entity.name for entity in SMALL.entities]
+    request = StepSimulation.Request(steps=24)
+    assert clients.call(StepSimulation, "sim/step_simulation", request).result.result == Result.RESULT_OK
 
 
 def test_an_unknown_renderer_leaves_the_sim_free(clients: Clients) -> None:
