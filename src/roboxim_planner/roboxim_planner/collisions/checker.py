@@ -8,22 +8,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache, lru_cache, partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import coal
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Vec3
 from roboxim_planner import native
 from roboxim_planner.collisions.contacts import ContactModel, ContactPair, ContactRules, held_shape
 from roboxim_planner.collisions.geometry import make_shape, placed_shapes
 from roboxim_planner.constraint import Upright
 from roboxim_planner.robot import PlannerRobot, native_shape, pose_matrix
-from roboxim_planner.scene import BodyShape, PlanningScene, PointHull, TriangleMesh
+from roboxim_planner.scene import Body, BodyShape, PlanningScene, PointHull, TriangleMesh
 
 __all__ = ["CollisionWorld", "ContactPair"]
 Array = npt.NDArray[np.float64]
+P = TypeVar("P")
 SEARCH_RESOLUTION_M = 0.01
 EXACT_RESOLUTION_M = 2.5e-4
 SELF_MARGIN_M = 2e-3  # distance that a search keeps between parts of the arm, where start and goals allow it
@@ -105,12 +107,12 @@ class CollisionWorld:
         item_names = [shape.link for shape in shapes]
         moving = [shape.joint >= 0 and not shape.close for shape in shapes]
         own = len(items)
-        makers = [make for body in scene.bodies for make in _parts(body.shapes)]
+        makers = [make for body in scene.bodies for make in _made(_parts, body)]
         obstacles = [make(part.pose) for make, part in zip(makers, self._placed, strict=True)]
         joint, tcp_pose = robot.tcp_attachment
         for held in scene.attached:
             placed = tcp_pose @ pose_matrix(held.body.pose)
-            for part, pose in zip(_held_parts(held.body.shapes), placed @ _part_poses(held.body.shapes), strict=True):
+            for part, pose in zip(_made(_held_parts, held.body), placed @ _part_poses(held.body.shapes), strict=True):
                 spheres = part.spheres.copy()
                 spheres[:, :3] = spheres[:, :3] @ pose[:3, :3].T + pose[:3, 3]
                 items.append(native.Item(joint, part.kind, part.size, pose, spheres))
@@ -234,6 +236,14 @@ class CollisionWorld:
         if not len(candidates):
             return []
         return list(candidates[self.native.free_states(candidates, self._of_states)])
+
+
+def _made(make: Callable[[tuple[BodyShape, ...]], tuple[P, ...]], body: Body) -> tuple[P, ...]:
+    """Return what a function makes of a body's parts; its errors name the body."""
+    try:
+        return make(body.shapes)
+    except InvalidRequestError as error:
+        raise InvalidRequestError(f"body '{body.name}': {error}") from None
 
 
 def _flat(pairs: list[tuple[int, int]]) -> list[int]:

@@ -66,8 +66,9 @@ def test_flat_hull_is_refused_instead_of_crashing(planner: Planner, size: float,
     turn = Rotation.identity() if thickness == 0.0 else Rotation.from_rotvec([0.3, 0.5, 0.7])
     corners = turn.apply(0.5 * np.array(EYE) * [size, size, thickness])
     flat = Body(name="flat", shapes=(PointHull(points=tuple(map(tuple, corners.tolist()))),))
-    with pytest.raises(InvalidRequestError, match=words):
-        CollisionWorld(planner.robot, PlanningScene(bodies=(flat,)))
+    for scene in (PlanningScene(bodies=(flat,)), PlanningScene(attached=(Attached(body=flat),))):
+        with pytest.raises(InvalidRequestError, match=f"body 'flat': .*{words}"):
+            CollisionWorld(planner.robot, scene)
     empty = Body(name="empty", shapes=(PointHull(points=()),))
     with pytest.raises(InvalidRequestError, match="0 points span no convex hull"):
         CollisionWorld(planner.robot, PlanningScene(bodies=(empty,)))
