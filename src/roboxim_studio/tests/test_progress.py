@@ -9,7 +9,7 @@ from roboxim_core.episode import Draw
 from roboxim_core.plain_data.results_log import RUN_FILE
 from roboxim_core.seeds import SeedPath
 from roboxim_runs.storage.event_log import EVENTS_FILE, STARTED, EventLog
-from roboxim_runs.storage.folder import EPISODE_MARK, locked
+from roboxim_runs.storage.folder import EPISODE_MARK
 from roboxim_studio.acting.drive import Drive
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.app import Studio
@@ -41,7 +41,7 @@ def test_a_run_that_has_finished_nothing_shows_its_workers_and_newest_pictures(b
     folder, drive = begun
     opened = recognise(str(folder))
     assert (opened.kind, opened.bags) == (Kind.RUN, ())
-    with locked(folder), Studio() as studio:
+    with Studio() as studio:  # the drive holds the lock of the folder
         studio.open(opened)
         assert studio.files.folder.visible
         progress = studio.files.progress
