@@ -107,3 +107,11 @@ def test_what_no_order_can_help_is_still_refused(tasks):
     everything = "models: {values: [cube, cube], order: in_order}, minimum: 1, maximum: 1"
     with pytest.raises(TaskError, match="distractor_distinct refused all of 2 draws"):
         tasks(f"skill: pick_up\ndistractors: {{{everything}}}", 1)
+
+
+def test_what_is_too_large_for_its_role_is_not_drawn(tasks):
+    """A tower stands on what is at most 10 cm wide, which a large block is not."""
+    text = "{{skill: stack, objects: {{support: {{models: [wooden_block], modifiers: {{size: {}}}}}}}}}"
+    assert {task.objects["support"].modifiers["size"] for task in tasks(text.format("[small, large]"), 12)} == {"small"}
+    with pytest.raises(TaskError, match="role_suited refused most of .* a large block as support"):
+        tasks(text.format("[large]"))

@@ -257,6 +257,8 @@ def _refusal(
             return "objects_distinct"
     if not all(wording.true_to(role, thing, thing) for role, thing in another.items()):
         return "size_true"
+    if not all(context.roles[role].suits(library.object(t.model, t.modifiers)) for role, t in another.items()):
+        return "role_suited"
     if any(matches(drawn, combination, library) for combination in context.config.exclude):
         return "excluded"
     complete = len(drawn) == len(context.config.objects)

@@ -128,15 +128,16 @@ class PutInto(Skill):
 
     def generate(self, context: GenerationContext) -> TaskSpec:
         """Draw a target that fits into the container, and record the interior's geometry."""
-        drawer = context.parameters.drawer
         task = generate_task(context)
         container = task.objects["container"]
-        interior = interior_arguments(context.library.object(container.model, container.modifiers), drawer)
+        model = context.library.object(container.model, container.modifiers)
+        interior = interior_arguments(model, context.parameters.drawer)
         instruction = task.instruction
-        if interior["joint"]:
+        if joint := interior["joint"]:
+            interior["drawer"] = region_of(model, "interior", context.parameters.drawer).name
             whole = description(container)
             instruction = instruction.replace(
-                f"the {whole}", f"the {drawer or interior['joint']} drawer of the {whole}"
+                f"the {whole}", f"the {interior['drawer'] or joint} drawer of the {whole}"
             )
         arguments = task.arguments | interior | upright_arguments(task, context.library)
         return replace(task, arguments=arguments, instruction=instruction)
