@@ -176,7 +176,7 @@ def test_marks_and_trims_are_of_the_episode_that_is_shown(studio, foreign, monke
     first = panel.episode
     released.set()
     older.join()
-    assert (panel.episode, panel._name) == (first, "train/0")
+    assert (panel.episode, panel._name, studio.site._latest["alert"]) == (first, "train/0", "")
 
 
 @pytest.mark.thorough

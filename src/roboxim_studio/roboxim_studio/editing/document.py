@@ -42,7 +42,8 @@ def from_draw(draw: Draw) -> FixedTask:
 def from_info(info: EpisodeInfo) -> FixedTask:
     """Return a recorded episode's task and scene as a document; exceptions of `from_episode`."""
     recorded = parse_json(info.config_json, source=f"the configuration of {info.episode_id}")
-    return from_episode(info.task, info.scene, recorded.get("task") or {})
+    config = recorded.get("task") if isinstance(recorded, Mapping) else None
+    return from_episode(info.task, info.scene, config if isinstance(config, Mapping) else {})
 
 
 def from_episode(task: TaskSpec, scene: SceneSpec, config: Mapping[str, Any]) -> FixedTask:

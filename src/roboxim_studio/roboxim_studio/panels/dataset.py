@@ -148,6 +148,7 @@ class DatasetPanel:
         with self._lock:
             if request != self._request:
                 return
+            self._site.send(alert="")
             self._place = place
             self.episode, self._pictures, self._rows, self.number = episode, Pictures(), rows, 0
             self._arm = named_arm(episode, self._library) or UNKNOWN
