@@ -344,7 +344,7 @@ class LookSpec:
     ambient: RGB = (0.54, 0.55, 0.58)
     """Mean radiance of the surroundings (image-based light)."""
     lights: tuple[LightSpec, ...] = (LightSpec(),)
-    """Lights; the first one that casts a shadow is the main light."""
+    """Lights, at most 4 with the renderer `raster`; the first one that casts a shadow is the main light."""
     background: str = "room"
     """``room``: walls around the table; ``plain``: no walls, the backdrop colour instead."""
     backdrop: RGB = (0.76, 0.77, 0.79)

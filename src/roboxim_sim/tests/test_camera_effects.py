@@ -15,11 +15,11 @@ from sensor_msgs.msg import CameraInfo
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError
 from roboxim_core.poses import Pose, look_at
 from roboxim_core.specs import CameraNoise, CameraSpec, LookSpec, MaterialSpec, SceneSpec
-from roboxim_core.vision.cameras import project
+from roboxim_core.vision.cameras import project, rays_of_pixels
 from roboxim_core.vision.renderer import CameraImages, RenderBody, Renderer, RenderWorld, TriangleMesh, VisualPart
 from roboxim_sim.conversions import camera_info_msg
 from roboxim_sim.rendering import make_renderer
-from roboxim_sim.rendering.camera_effects import CameraRig, draw_frames
+from roboxim_sim.rendering.camera_effects import CameraRig, Lens, draw_frames
 
 EYE = look_at((0.9, 0.5, 0.6), (0.0, 0.05, 0.0))
 PLAIN = CameraSpec(name="eye", width=360, height=270, depth=True, segmentation=True)
@@ -189,6 +189,18 @@ def test_an_impossible_lens_is_refused_when_the_scene_is_loaded(renderer: Render
     folded = replace(PLAIN, fov_y_rad=2.0, distortion=(-0.5, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(InvalidRequestError, match="'eye'.*folds"):
         CameraRig(renderer).load(world(), SceneSpec(cameras=(folded,)))
+
+
+@pytest.mark.parametrize(("width", "px"), [(360, 0.3), (2592, 0.6)])
+def test_a_lens_picks_the_pixels_of_its_rays_at_any_size(width: int, px: float) -> None:
+    camera = replace(BARREL, width=width, height=64, intrinsics=(0.9 * width, 0.9 * width, width / 2, 32.0))
+    lens = Lens(camera)
+    fx, _, cx, _ = lens.source.matrix
+    columns = np.broadcast_to((np.arange(lens.source.width) - cx) / fx, (lens.source.height, lens.source.width))
+    plain = CameraImages(rgb=np.zeros((*columns.shape, 3), np.uint8), depth=columns.astype(np.float32))
+    bent = lens.bend(plain)
+    assert bent.rgb.shape == (64, width, 3)
+    assert np.abs(bent.depth - rays_of_pixels(camera)[..., 0]).max() < px / camera.matrix[0]
 
 
 def test_the_projection_agrees_with_the_core(renderer: Renderer) -> None:

@@ -39,7 +39,8 @@ from roboxim_core.vision.srgb import to_linear, to_srgb
 MAX_SIZE = 4096
 """Maximum width and height of the pinhole image for a distorted one [px]."""
 FINER = 2
-"""Oversampling of the pinhole image, so that the nearest pixel is at most a quarter of a pixel away."""
+"""Oversampling of the pinhole image, so that the nearest pixel is at most a quarter of a pixel away; an image that
+would exceed `MAX_SIZE` by it has none."""
 Views = Sequence[tuple[CameraSpec, Pose]]
 
 
@@ -138,23 +139,24 @@ class Lens:
         cx, cy = (math.ceil(-low[0] * fx) + 1, math.ceil(-low[1] * fy) + 1)
         width = max(math.ceil(high[0] * fx) + 2 + cx, 16)
         height = max(math.ceil(high[1] * fy) + 2 + cy, 16)
-        if FINER * max(width, height) > MAX_SIZE:
+        if max(width, height) > MAX_SIZE:
             raise InvalidRequestError(
-                f"camera '{camera.name}': its distorted image needs a pinhole image of {FINER * width}x"
-                f"{FINER * height} px, more than {MAX_SIZE}; choose a narrower field of view or a smaller image"
+                f"camera '{camera.name}': its distorted image needs a pinhole image of {width}x{height} px, more than "
+                f"{MAX_SIZE}; choose a narrower field of view or a smaller image"
             )
+        finer = self._finer = FINER if FINER * max(width, height) <= MAX_SIZE else 1
         coarse = replace(ideal_camera(camera), width=width, height=height, intrinsics=(fx, fy, cx, cy))
-        self.source = coarse.resized(FINER * width, FINER * height)
-        """The pinhole camera whose image covers the lens' field of view at `FINER` times the resolution."""
+        self.source = coarse.resized(finer * width, finer * height)
+        """The pinhole camera whose image covers the lens' field of view, at `FINER` times the resolution if it can."""
         at = rays * (fx, fy) + (cx, cy)
         self._linear = (at[..., 0].astype(np.float32), at[..., 1].astype(np.float32))
-        fine = np.rint((at + 0.5) * FINER - 0.5).astype(np.float32)
+        fine = np.rint((at + 0.5) * finer - 0.5).astype(np.float32)
         self._nearest = (fine[..., 0].copy(), fine[..., 1].copy())
 
     def bend(self, images: CameraImages) -> CameraImages:
         """Return the distorted images, given the pinhole camera's images."""
         height, width, _ = images.rgb.shape
-        rgb = cv2.resize(images.rgb, (width // FINER, height // FINER), interpolation=cv2.INTER_AREA)
+        rgb = cv2.resize(images.rgb, (width // self._finer, height // self._finer), interpolation=cv2.INTER_AREA)
         return CameraImages(
             rgb=np.asarray(cv2.remap(rgb, *self._linear, cv2.INTER_LINEAR), np.uint8),
             depth=None if images.depth is None else self._pick(images.depth),
