@@ -11,7 +11,7 @@ from typing import Any
 
 from roboxim_core.config import to_plain
 from roboxim_datasets.account import Account, lines, to_json
-from roboxim_datasets.dataset import EXPORT_FILE, Dataset
+from roboxim_datasets.dataset import EXPORT_FILE, Dataset, in_order
 from roboxim_datasets.files import reading
 from roboxim_datasets.statistics import dead_components
 from roboxim_datasets.view import contact_sheet, encoded
@@ -297,7 +297,7 @@ def _statistics(dataset: Dataset) -> str:
             for i, part in enumerate(names[vector])
         ]
         text += f"\n{vector}:\n\n" + _table(("component", *columns), rows)
-    of = f"the split `{next(iter(dataset.splits))}`" if dataset.format == "rlds" else "all episodes"
+    of = f"the split `{in_order(dataset.splits)[0]}`" if dataset.format == "rlds" else "all episodes"
     return f"## Statistics\n\nOf {of}, as they are stored beside the data.\n{text}" if text else ""
 
 

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +30,19 @@ SPLITS = ("train", "val", "test")
 """Splits that RoboXim writes, in this order."""
 RECORDED: Mapping[str, type[MetaValue]] = {key: kind for key, kind in METADATA.items() if key not in OWN_FIELDS}
 """Metadata of an episode that comes from a bag, key to type."""
+
+UNUSED = "unused"
+"""Name of an action's component that a convention has and nothing executes."""
+
+
+def in_order(splits: Iterable[str]) -> list[str]:
+    """Return splits in the order in which they are written: those of `SPLITS`, then others by name."""
+    return sorted(splits, key=lambda name: (SPLITS.index(name) if name in SPLITS else len(SPLITS), name))
+
+
+def gripper_components(names: Iterable[str]) -> list[int]:
+    """Return the indices of an action's components named after a gripper: ``gripper``, ``left_gripper.pos``."""
+    return [at for at, name in enumerate(names) if "gripper" in re.split(r"[\W_]", name.lower())]
 
 
 @dataclass(frozen=True, kw_only=True)

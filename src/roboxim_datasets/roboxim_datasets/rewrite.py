@@ -26,7 +26,7 @@ from roboxim_core.shards import Shard
 from roboxim_datasets.account import Part, Treatment, to_json
 from roboxim_datasets.build import only_build
 from roboxim_datasets.card import card_path, write_card
-from roboxim_datasets.dataset import EXPORT_FILE, SPLITS, Dataset, Description
+from roboxim_datasets.dataset import EXPORT_FILE, Dataset, Description, in_order
 from roboxim_datasets.episode import OWN_FIELDS, Episode, MetaValue, Step, Wanted
 from roboxim_datasets.files import file_in, has_file, reading
 from roboxim_datasets.plans import Plan
@@ -137,7 +137,7 @@ def write_dataset(
         only_build(path),
         made.create(target, description, settings, identity=identity, overwrite=overwrite) as writer,
     ):
-        order = sorted(splits, key=lambda name: (SPLITS.index(name) if name in SPLITS else len(SPLITS), name))
+        order = in_order(splits)
         skip = {split: writer.resumed(split) for split in order}
         done = resumed = sum(skip.values())
         seen: dict[str, Dataset] = {}

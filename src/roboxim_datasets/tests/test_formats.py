@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,13 @@ from roboxim_datasets.card import card, count
 from roboxim_datasets.dataset import Description, Features
 from roboxim_datasets.episode import Episode, ImageSize, Step, Wanted
 from roboxim_datasets.formats import FORMATS, open_dataset
+from roboxim_datasets.lerobot import LeRobotOptions
+from roboxim_datasets.lerobot.content import content_of, layout_of
+from roboxim_datasets.lerobot.modality import modality
 from roboxim_datasets.rewrite import options_like
 from roboxim_datasets.rlds import RldsEpisode, RldsFeatures, RldsWriter
 from roboxim_datasets.rlds.dataset import RldsFormat, RldsOptions
+from roboxim_datasets.rlds.loader_files import loading_text
 
 ACTION = ("dx", "dy", "dz", "droll", "dpitch", "dyaw", "gripper")
 VECTORS = {"state": ("tcp.x", "tcp.y"), "joints": ("j0.position",)}
@@ -120,6 +125,49 @@ def test_datasets_of_two_formats_in_one_folder_are_both_found(tmp_path: Path, wr
     for folder in (tmp_path, tmp_path / "demos"):
         with pytest.raises(ConfigError, match=r"holds 2 datasets; name one of .*hdf5 \(hdf5\), .*1.0.0 \(rlds\)"):
             open_dataset(folder)
+
+
+def test_the_splits_of_rlds_and_the_card_say_what_the_statistics_are_of(tmp_path: Path) -> None:
+    options = RldsOptions(encoding="png")
+    with RldsFormat().create(tmp_path, DESCRIPTION, options, identity="", overwrite=False) as writer:
+        for split, index in (("test", 0), ("train", 1), ("train", 2)):
+            writer.add(split, episode_of(index))
+        writer.complete({})
+    dataset = open_dataset(tmp_path)
+    assert list(dataset.splits) == ["train", "test"]
+    assert json.loads((dataset.path / "dataset_statistics.json").read_text())["num_trajectories"] == 2
+    assert "Of the split `train`" in card(dataset, count(dataset))
+
+
+POSE = ACTION[:6]
+X_VLA = (*POSE, "gripper", "unused", "unused")
+BOTH_ARMS = ("left_arm.x", "left_gripper.pos", "right_arm.x", "right_gripper.pos")
+
+
+@pytest.mark.parametrize(
+    ("action", "kept", "parts"),
+    [
+        (ACTION, [6], {"end_effector": (0, 6), "gripper": (6, 7)}),
+        (X_VLA, [6], {"end_effector": (0, 6), "gripper": (6, 7)}),
+        (("gripper", *POSE), [0], {"gripper": (0, 1), "end_effector": (1, 7)}),
+        (BOTH_ARMS, [1, 3], {"action": (0, 4)}),
+        (tuple(f"action.{at}" for at in range(7)), [], {"action": (0, 7)}),
+    ],
+    ids=["last", "unused after it", "first", "two", "unnamed"],
+)
+def test_the_gripper_is_found_by_its_name(
+    action: tuple[str, ...], kept: list[int], parts: dict[str, tuple[int, int]]
+) -> None:
+    """Trainers must not normalise it, and GR00T reads it as a part of its own."""
+    about = replace(DESCRIPTION, features=replace(DESCRIPTION.features, action=action, signals={}))
+    content = content_of(about, LeRobotOptions())
+    found = modality(layout_of(about, content, LeRobotOptions()), content)["action"]
+    assert {name: (part["start"], part["end"]) for name, part in found.items()} == parts
+    features = RldsFeatures(images={"image": (8, 12)}, action={"steps/action": len(action)})
+    mask = [at not in kept for at in range(len(action))]
+    text = loading_text("a", "1.0.0", features, action)
+    assert eval(text.partition("action_normalization_mask=")[2].partition(",\n")[0]) == mask
+    assert ("must not be\nnormalised" in text) == bool(kept)
 
 
 def test_every_registered_format_conforms() -> None:

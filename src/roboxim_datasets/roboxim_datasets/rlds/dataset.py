@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_datasets.dataset import SPLITS, Dataset, Description, Features
+from roboxim_datasets.dataset import Dataset, Description, Features
 from roboxim_datasets.episode import METADATA, OWN_FIELDS, SIGNAL_PREFIX, Episode, MetaValue
 from roboxim_datasets.registry import FORMATS
 from roboxim_datasets.rlds.episodes import EncodedSteps, read_steps, to_rlds
@@ -109,10 +109,8 @@ class RldsDatasetWriter:
         self._write_pending()
         self._writer.finish_shards()
         features = self._writer.features
-        shards = next(
-            (found for split in (*SPLITS, *self._writer.splits) if (found := self._writer.shard_files(split))), []
-        )
-        statistics = statistics_of(shards, features)
+        first = next(iter(self._writer.splits), "")
+        statistics = statistics_of(self._writer.shard_files(first), features, self._description.features.action)
         own = loader_files(self._options.name, features, statistics)
         self._writer.complete({**own, **files})
 

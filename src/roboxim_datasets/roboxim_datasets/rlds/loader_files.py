@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from roboxim_datasets.dataset import gripper_components
 from roboxim_datasets.rlds.format import RldsFeatures
 from roboxim_datasets.rlds.tfrecord import decode_example, read_records
 from roboxim_datasets.statistics import VectorStatistics
@@ -14,12 +16,13 @@ from roboxim_datasets.statistics import VectorStatistics
 STATISTICS_FILE = "dataset_statistics.json"
 
 
-def statistics_of(shards: Iterable[Path], features: RldsFeatures) -> dict[str, Any]:
+def statistics_of(shards: Iterable[Path], features: RldsFeatures, action: Sequence[str]) -> dict[str, Any]:
     """Read shards back and summarise their actions and states, in the format that OpenVLA and Octo cache.
 
     Args:
         shards: TFRecord files.
         features: Features of their episodes.
+        action: Names of the action's components.
     """
     size, state = features.action_size, "steps/observation/state"
     actions, states, episodes = VectorStatistics(size), VectorStatistics(features.vectors.get("state", 1)), 0
@@ -31,7 +34,7 @@ def statistics_of(shards: Iterable[Path], features: RldsFeatures) -> dict[str, A
                 states.add(example[state].reshape(-1, features.vectors["state"]))
             episodes += 1
     return {
-        "action": {**_summary(actions), "mask": [True] * (size - 1) + [False]},
+        "action": {**_summary(actions), "mask": _mask(action)},
         **({"proprio": _summary(states)} if states.count else {}),
         "num_transitions": actions.count,
         "num_trajectories": episodes,
@@ -52,11 +55,20 @@ def loader_files(name: str, features: RldsFeatures, statistics: dict[str, Any]) 
     }
 
 
-def loading_text(name: str, version: str, features: RldsFeatures) -> str:
-    """Return how a dataset is loaded, in Markdown."""
+def loading_text(name: str, version: str, features: RldsFeatures, action: Sequence[str]) -> str:
+    """Return how a dataset is loaded, in Markdown; ``action`` has the names of the action's components."""
     primary, wrist = _views(features)
-    mask = f"[True] * {features.action_size - 1} + [False]"
-    return _LOADING.format(name=name, version=version, primary=primary, wrist=wrist, mask=mask)
+    flags = _mask(action)
+    runs = [(flag, len(list(run))) for flag, run in groupby(flags)]
+    mask = " + ".join(f"[{flag}]" + f" * {count}" * (count > 1) for flag, count in runs)
+    gripper = "The gripper must not be\nnormalised" if not all(flags) else "No component is\nnamed after a gripper"
+    return _LOADING.format(name=name, version=version, primary=primary, wrist=wrist, mask=mask, gripper=gripper)
+
+
+def _mask(action: Sequence[str]) -> list[bool]:
+    """Return for each component of the action whether it is normalised: all but the gripper."""
+    grippers = gripper_components(action)
+    return [at not in grippers for at in range(len(action))]
 
 
 def _views(features: RldsFeatures) -> tuple[str | None, str | None]:
@@ -93,8 +105,7 @@ builder = tfds.builder_from_directory("{name}/{version}")   # this folder
 A step has `observation/<image key or vector>`, `action`, `language_instruction`, `reward`, `discount`, `is_first`,
 `is_last`, `is_terminal`, and under `sim/` what loaders ignore.
 
-`dataset_statistics.json` holds mean, std, min, max, q01 and q99 of actions and states. The gripper must not be
-normalised (mask `{mask}`).
+`dataset_statistics.json` holds mean, std, min, max, q01 and q99 of actions and states. {gripper} (mask `{mask}`).
 
 OpenVLA: `openvla_register.py`, action normalisation `BOUNDS_Q99`. Octo needs only arguments:
 

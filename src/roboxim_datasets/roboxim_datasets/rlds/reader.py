@@ -250,7 +250,7 @@ class RldsDataset(Dataset):
     @property
     def usage(self) -> str:
         """How the dataset is loaded."""
-        return loading_text(self.reader.name, self.reader.version, self.reader.features)
+        return loading_text(self.reader.name, self.reader.version, self.reader.features, self.features.action)
 
     @cached_property
     def description(self) -> Description:

@@ -13,6 +13,7 @@ from types import TracebackType
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_datasets.build import ResumableBuild, link, write_files
+from roboxim_datasets.dataset import in_order
 from roboxim_datasets.rlds.format import (
     FEATURES_FILE,
     INFO_FILE,
@@ -118,8 +119,8 @@ class RldsWriter:
 
     @property
     def splits(self) -> list[str]:
-        """The splits that have a finished shard, in the order in which they began."""
-        return list(dict.fromkeys(of["split"] for of in self._build.entries))
+        """The splits that have a finished shard, in the order in which the dataset lists them."""
+        return in_order({of["split"] for of in self._build.entries})
 
     def shard_files(self, split: str) -> list[Path]:
         """Return the finished shards of a split."""
@@ -137,10 +138,11 @@ class RldsWriter:
         """
         self.finish_shards()
         build = self._build
-        found = sorted(build.split_entries().items())
+        found = build.split_entries()
         build.staged.mkdir()
         splits = []
-        for split, shards in found:
+        for split in self.splits:
+            shards = found[split]
             for index, file in enumerate(self.shard_files(split)):
                 link(file, build.staged / f"{self.name}-{split}.tfrecord-{index:05d}-of-{len(shards):05d}")
             splits.append(

@@ -34,7 +34,7 @@ from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.proprioception import STATE_FIELDS, Proprioception, ProprioField, component_names
 from roboxim_core.rotation.representations import RotationRepresentation
-from roboxim_datasets.dataset import Description, Features
+from roboxim_datasets.dataset import UNUSED, Description, Features
 from roboxim_datasets.episode import BETWEEN_ROBOTS, EXECUTED, Floats, ImageSize, RGBImage
 from roboxim_datasets.rlds.episodes import USUAL_KEYS
 from roboxim_recorder.acted import ACTED_BY, ACTORS
@@ -119,7 +119,7 @@ class Content:
         output = self.convention.action
         if not self.named:
             return natural
-        names = ["unused"] * output.raw_size
+        names = [UNUSED] * output.raw_size
         for place, name in zip(output.order or range(len(natural)), natural, strict=True):
             names[place] = name
         return tuple(names)
