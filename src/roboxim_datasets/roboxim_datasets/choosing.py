@@ -34,7 +34,7 @@ def chosen_plan(dataset: Dataset, texts: Iterable[str]) -> dict[str, list[Place]
         for place, facts in zip(group, known[split], strict=True):
             if choice.refusal(facts):
                 continue
-            edit = next((choice.edits[name] for name in facts["episode"] if name in choice.edits), None)
+            edit = choice.edit_of(facts["episode"])
             if edit is not None:
                 edit.require_within(int(facts["steps"][0]))
                 place = replace(place, change=partial(edited, edit=edit), changed=str(edit))

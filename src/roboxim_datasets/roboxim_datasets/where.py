@@ -16,7 +16,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 from roboxim_core.errors import InvalidRequestError, one_of, printable
 from roboxim_core.plain_data.documents import read_text
@@ -123,29 +123,44 @@ class Choice:
 
     conditions: tuple[tuple[str, Condition], ...] = ()
     """Each condition with its text."""
-    edits: Mapping[str, Edit] = field(default_factory=dict)
-    """Episode to its edit."""
+    given: tuple[Edit, ...] = ()
+    """Edits in the order of their texts."""
 
     @staticmethod
     def parse(texts: Iterable[str]) -> Choice:
-        """Read conditions and edits; of two edits of one kind and episode the later one counts.
+        """Read conditions and edits.
 
         Raises:
             InvalidRequestError: On a text that is neither.
         """
         conditions: list[tuple[str, Condition]] = []
-        edits: dict[str, Edit] = {}
+        edits: list[Edit] = []
         for text in texts:
             edit = Edit.parse(text)
             if edit is None:
                 conditions.append((text, Condition.parse(text)))
-                continue
-            before = edits.get(edit.episode, edit)
-            edits[edit.episode] = Edit(
-                episode=edit.episode, steps=edit.steps or before.steps,
-                instruction=edit.instruction or before.instruction,
-            )  # fmt: skip
-        return Choice(conditions=tuple(conditions), edits=edits)
+            else:
+                edits.append(edit)
+        return Choice(conditions=tuple(conditions), given=tuple(edits))
+
+    @property
+    def edits(self) -> Mapping[str, Edit]:
+        """Name of an episode to all that is done to it by this name."""
+        names = dict.fromkeys(edit.episode for edit in self.given)
+        return {name: edit for name in names if (edit := self.edit_of((name,)))}
+
+    def edit_of(self, names: Fact) -> Edit | None:
+        """Return all that is done to an episode, by any of its names; None: nothing.
+
+        Of two edits of one kind the later one counts.
+        """
+        found: Edit | None = None
+        for edit in self.given:
+            if edit.episode in names:
+                before = found or edit
+                words = edit.instruction or before.instruction
+                found = replace(edit, steps=edit.steps or before.steps, instruction=words)
+        return found
 
     def require_known(self, episodes: Sequence[Mapping[str, Fact]]) -> None:
         """Refuse conditions and edits that no episode can be meant by.
@@ -155,7 +170,7 @@ class Choice:
         """
         require_known([condition for _, condition in self.conditions], episodes)
         names = {name for facts in episodes for name in facts.get("episode", ())}
-        for name in self.edits:
+        for name in (edit.episode for edit in self.given):
             if name not in names:
                 raise InvalidRequestError(f"no episode '{name}' to edit; {one_of(names, name)}")
 

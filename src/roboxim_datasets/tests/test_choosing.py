@@ -43,6 +43,13 @@ def test_an_edit_that_makes_no_sense_is_refused(text):
         Choice.parse([text])
 
 
+def test_edits_by_an_episode_s_id_and_place_add_up(tmp_path, write, episode_of):
+    texts = ["relabel train/1 Push it", "trim train/1 0..1", "trim demo-1 1..2"]
+    episode = chosen_plan(write(tmp_path / "a", [0, 1]), texts)["train"][1].read()
+    assert episode.instruction == "Push it"
+    assert np.array_equal(episode.actions(), episode_of(1).actions()[1:])
+
+
 def test_edits_of_one_episode_add_up():
     choice = Choice.parse(["trim a 1..2", "relabel a b = c", "relabel=x", "trim a 2..3"])
     assert choice.edits == {"a": Edit(episode="a", steps=(2, 3), instruction="b = c")}

@@ -39,6 +39,8 @@ GRIPPER = "gripper.opening"
 UNSURE = f"with images that may be of another scene: record {topics.NOTICE}, too"
 FIELDS = (ProprioField.JOINT_POSITIONS, ProprioField.JOINT_VELOCITIES)
 """Observed vectors beside ``state``."""
+ROUNDING_NS = 1
+"""Largest difference between equal ticks [ns]: stamps are rounded, and a tick of 30 Hz has no whole number of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +58,11 @@ class Stretch:
     def tick_ns(self) -> int:
         """Length of a tick [ns]."""
         return self.states[1].stamp_ns - self.states[0].stamp_ns
+
+    @property
+    def rate_hz(self) -> float:
+        """Ticks per second: the scene's control rate, unless the ticks have another length."""
+        return self.scene.control_rate_hz if _equal(self.tick_ns, self.scene.tick_ns) else 1e9 / self.tick_ns
 
 
 def is_driven(path: Path) -> bool:
@@ -114,7 +121,7 @@ class DrivenDataset(Dataset):
         sizes = {c.name: ImageSize(height=c.height, width=c.width) for c in self._cameras(first.scene)}
         vectors = {"state": component_names(STATE_FIELDS, joints)}
         vectors |= {str(field): component_names((field,), joints) for field in FIELDS}
-        rate = 1e9 / first.tick_ns
+        rate = first.rate_hz
         return Description(
             features=Features(
                 cameras=sizes, keys={name: name for name in sizes}, lossless=True, action=(*joints, GRIPPER),
@@ -260,10 +267,10 @@ class DrivenDataset(Dataset):
     def _like(self, one: Stretch, other: Stretch) -> bool:
         """Return whether two stretches fit into one dataset."""
         first, second = (
-            (of.scene.robot.model, of.tick_ns, [(c.name, c.width, c.height) for c in self._cameras(of.scene)])
+            (of.scene.robot.model, [(c.name, c.width, c.height) for c in self._cameras(of.scene)])
             for of in (one, other)
         )
-        return first == second
+        return first == second and _equal(one.tick_ns, other.tick_ns)
 
     def _images(self, stretch: Stretch, cameras: Sequence[str]) -> Iterator[dict[str, Any]]:
         """Yield the images of each state of a stretch, by camera."""
@@ -310,7 +317,12 @@ def _follows(run: Sequence[StateRecord], state: StateRecord) -> bool:
     last = run[-1]
     if state.seq != last.seq + 1 or state.scene_hash != last.scene_hash or state.stamp_ns <= last.stamp_ns:
         return False
-    return len(run) < 2 or state.stamp_ns - last.stamp_ns == run[1].stamp_ns - run[0].stamp_ns
+    return len(run) < 2 or _equal(state.stamp_ns - last.stamp_ns, run[1].stamp_ns - run[0].stamp_ns)
+
+
+def _equal(tick_ns: int, other_ns: int) -> bool:
+    """Return whether two ticks have the same length."""
+    return abs(tick_ns - other_ns) <= ROUNDING_NS
 
 
 def _refused(message: str) -> RecorderError:

@@ -87,6 +87,17 @@ def test_ticks_become_steps_whose_actions_are_the_commands(fake, tmp_path):
     assert left.count == drive.last_seq + 1
 
 
+@pytest.mark.parametrize("rate_hz", [12.0, 15.0, 24.0, 30.0])
+def test_ticks_whose_stamps_are_rounded_are_one_episode_at_its_rate(fake, tmp_path, monkeypatch, rate_hz):
+    scene = replace(fake().scene, control_rate_hz=rate_hz)
+    monkeypatch.setattr(type(fake()), "scene", scene)
+    monkeypatch.setattr(type(fake()), "stamp_ns", lambda self, seq: round(seq * 1e9 / rate_hz))
+    drives = fake(index=0, steps=5), fake(index=1, steps=9)
+    dataset = DrivenDataset(driven(tmp_path / "bag", *drives, lost={("/sim/state", 1, 0)}), "Wave")
+    assert [len(episode) for episode in dataset.episodes()] == [7, 10]
+    assert dataset.description.fps == rate_hz
+
+
 def test_a_new_scene_and_lost_ticks_end_an_episode_and_are_named(fake, tmp_path):
     lost = {("/sim/state", 0, 3), ("/camera/wrist/image", 1, 2)}
     drives = fake(index=0, steps=5), fake(index=1, steps=5)
