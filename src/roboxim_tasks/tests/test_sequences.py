@@ -127,3 +127,22 @@ def test_a_role_whose_noun_is_only_part_of_anothers_description_is_not_named(ins
     objects = {"target": red, "support": PhysicalObject(entity="b", model="cube", name="cube")}
     task = TaskSpec(skill="stack", objects=objects, instruction=instruction)
     assert Wording.of_task(task, SKILLS["stack"].roles, library).named == named
+
+
+def test_what_a_step_turns_upright_lies_whatever_its_role_is_called(generator, seed_path):
+    text = """
+steps:
+- {skill: turn_upright, roles: {target: can}}
+- {skill: place_left_of, roles: {target: cube, reference: can}}
+objects: {can: {models: [soda_can]}, cube: {models: [cube]}}
+reset: {cameras: {names: []}}
+"""
+    config = task_config(parse_yaml(text))
+    assert config.reset["toppled"].roles == ("can",)
+    drawn = generator.draw(seed_path(0), config)
+    can, cube = (drawn.scene.entity(name).pose.rotation.apply([0.0, 0.0, 1.0])[2] for name in ("can", "cube"))
+    assert abs(can) < 0.1 < abs(cube)
+    with pytest.raises(ConfigError, match=r"reset\.toppled.*no role 'target' to topple; expected one of: can, cube"):
+        task_config(parse_yaml(text.replace("reset: {", "reset: {toppled: {roles: target}, ")))
+    with pytest.raises(ConfigError, match=r"reset\.distractors.*near: is the distance from the role 'target', and"):
+        task_config(parse_yaml(text.replace("reset: {", "reset: {distractors: {near: {}}, ")))

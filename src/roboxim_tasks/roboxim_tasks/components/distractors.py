@@ -6,7 +6,7 @@ Which objects these are is drawn in `roboxim_tasks.sampling.generators`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 from roboxim_tasks.roles import task_distractors
 from roboxim_tasks.sampling.placement import Demand, PlacementConfig, centre, footprint, grown, nearest_distance, place
 from roboxim_tasks.sampling.rejection import RejectedError
+from roboxim_tasks.task_config import TaskConfig
 
 TARGET = "target"
 BLOCK = 20
@@ -74,6 +75,12 @@ class DistractorsReset(ResetComponent):
     name = "distractors"
     Config = DistractorsResetConfig
     places = True
+
+    @classmethod
+    def check(cls, config: DistractorsResetConfig, roles: Sequence[str], task: TaskConfig) -> None:
+        """Refuse ``near`` where no role is called target, whose distance it controls."""
+        if config.near and TARGET not in roles:
+            raise ConfigError(f"near: is the distance from the role '{TARGET}', and the roles are {', '.join(roles)}")
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
         """Place each distractor apart from all other objects.

@@ -18,6 +18,7 @@ from roboxim_core.models.description import ObjectModel
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
+from roboxim_tasks.components.toppled import ToppledReset
 from roboxim_tasks.measures import Evaluator
 from roboxim_tasks.motion import ExpertScene, Stage
 from roboxim_tasks.roles import STAY, Role, description
@@ -27,6 +28,8 @@ from roboxim_tasks.sequences.steps import ORDER, arguments_of, is_sequence, join
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.skills.base import Skill
 from roboxim_tasks.task_config import DistractorConfig, ObjectConfig, StepConfig, TaskConfig
+
+TOPPLED = ToppledReset.name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +66,8 @@ class Sequence(Skill):
         for step, skill in zip(self.steps, self.skills, strict=True):
             for own, role in step.roles.items():
                 fills.setdefault(role, []).append(skill.roles[own])
+        pairs = zip(self.steps, self.skills, strict=True)
+        lying = tuple(dict.fromkeys(step.roles["target"] for step, skill in pairs if TOPPLED in skill.components))
         vars(self).update(
             name=joined(step.skill for step in steps),
             roles={role: _joint_role(roles) for role, roles in fills.items()},
@@ -70,6 +75,7 @@ class Sequence(Skill):
             templates=templates_of(len(steps), order),
             components=tuple(dict.fromkeys(name for skill in self.skills for name in skill.components)),
             max_steps=sum(skill.max_steps for skill in self.skills),
+            reset={TOPPLED: {"roles": lying}} if lying else {},
         )
 
     def mismatch(self, parameters: Any, models: Mapping[str, ObjectModel]) -> str:
