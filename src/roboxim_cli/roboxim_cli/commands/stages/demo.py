@@ -58,7 +58,7 @@ def command(out: Path, seed: int, workers: int, smoke: bool, large: bool, render
 
     \b
     roboxim demo                 # or: make demo
-    roboxim demo --large         # a policy that succeeds in more than 9 of 10 rollouts
+    roboxim demo --large         # more demonstrations, larger images, longer training
 
     Each step is a command, printed before it runs; you can also run the commands one by one. Ctrl-C stops the demo; the
     same command continues it.
