@@ -244,9 +244,9 @@ class _Search:
         """Return goal configurations, nearest first, each with the number of its goal."""
         found: list[tuple[int, Array]] = []
         if stage.kind == "joints":
-            goal = self._planner.robot.check_joints(stage.joints, what=f"stage '{stage.name}'")
+            joints = self._planner.robot.check_joints(stage.joints, what=f"stage '{stage.name}'")
             with self._storing_error(k):
-                found.append((-1, self._planner.check_goal(scene, goal, options)))
+                found.append((-1, self._planner.check_goal(scene, joints, options)))
             return found
         for index, goal in enumerate(stage.goals):
             self._watch("goals", index)
