@@ -16,6 +16,7 @@ from roboxim_core.whole_files import write_whole
 from roboxim_eval.benchmark.card import BenchmarkCard, check_benchmark_card, concluded_benchmark
 from roboxim_eval.benchmark.config import BenchmarkConfig, experiment_changes
 from roboxim_eval.experiments.card import Card
+from roboxim_eval.experiments.fresh import SceneSeed
 from roboxim_eval.experiments.reductions import deciding
 from roboxim_runs.events import OnEvent, ignore
 from roboxim_runs.executors import Cancellation, Executor
@@ -33,7 +34,7 @@ from roboxim_runs.experiments.report import (
 )
 from roboxim_runs.experiments.report import STATE_FILE as EXPERIMENT_STATE_FILE
 from roboxim_runs.experiments.run import ExperimentRunConfig, SharedRunConfig, run_experiment
-from roboxim_runs.experiments.scenes.fresh import drawn_seed, in_scenes_of, share_seed, stored_seed
+from roboxim_runs.experiments.scenes.fresh import in_scenes_of, store_seed, stored_seed
 from roboxim_runs.policies.specs import PolicySpec
 from roboxim_runs.storage.folder import checked_path, make_folder
 
@@ -108,8 +109,8 @@ def run_benchmark(
     make_folder(out)
     _require_experiments(benchmark, config)
     changes = experiment_changes(benchmark, config.scale)
-    seed = drawn_seed(out) if config.fresh else stored_seed(out)
-    cards = _cards_from_elsewhere(benchmark, config)
+    seed = _seed_of(benchmark, config)
+    cards = _cards_from_elsewhere(benchmark, config, seed)
     state = {"benchmark": config.benchmark, "scale": config.scale, "trainer": config.trainer}
     _require_same(out / STATE_FILE, state)
     write_whole(out / STATE_FILE, json.dumps(state, indent=2) + "\n")
@@ -124,9 +125,6 @@ def run_benchmark(
         if config.experiments and name not in config.experiments:
             missing.append(name)
             continue
-        if seed is not None:
-            make_folder(out / name)
-            share_seed(seed, out / name)
         result = run_experiment(
             ExperimentRunConfig(
                 **shared, experiment=name, out=out / name, changes=changes, benchmark=config.benchmark,
@@ -134,7 +132,10 @@ def run_benchmark(
                 trained=checked_path(config.trained) / name if config.trained else "",
             ),
             executor=executor, training_executor=training_executor, on_event=on_event, cancellation=cancellation,
+            scenes=seed,
         )  # fmt: skip
+        if seed is not None:  # only now: what is refused leaves no seed behind
+            store_seed(seed, out)
         missing += [f"{name}/{stage}" for stage in result.missing]
         if result.card is None and not any(one.startswith(f"{name}/") for one in missing):
             missing.append(name)
@@ -142,7 +143,20 @@ def run_benchmark(
     return BenchmarkResult(out=out, missing=tuple(missing), card=written)
 
 
-def _cards_from_elsewhere(benchmark: BenchmarkConfig, config: BenchmarkRunConfig) -> dict[str, Card]:
+def _seed_of(benchmark: BenchmarkConfig, config: BenchmarkRunConfig) -> SceneSeed | None:
+    """Return the seed of fresh scenes that a benchmark's experiments share; none: the public scenes, or a given seed.
+
+    It is the folder's, or that of an experiment of it, as of a first one that was interrupted.
+    """
+    out = checked_path(config.out)
+    folders = (out, *(out / name for name in benchmark.experiments))
+    stored = next((seed for folder in folders if (seed := stored_seed(folder)) is not None), None)
+    return SceneSeed.drawn() if stored is None and config.fresh else stored
+
+
+def _cards_from_elsewhere(
+    benchmark: BenchmarkConfig, config: BenchmarkRunConfig, seed: SceneSeed | None
+) -> dict[str, Card]:
     """Return the cards that were named, and those that the folder holds without a run, by experiment.
 
     Raises:
@@ -151,7 +165,6 @@ def _cards_from_elsewhere(benchmark: BenchmarkConfig, config: BenchmarkRunConfig
     out = checked_path(config.out)
     stored = [out / name / CARD_FILE for name in benchmark.experiments if has_only_card(out / name)]
     paths = (*stored, *config.cards)
-    seed = stored_seed(out)
     planned = {
         name: in_scenes_of(one, seed.seed if seed else config.scene_seed)
         for name, one in (benchmark_experiments(benchmark, config.scale, config.trainer) if paths else {}).items()

@@ -56,7 +56,7 @@ from roboxim_runs.experiments.provenance import (
 from roboxim_runs.experiments.report import STATE_FILE, ExperimentFolder, write_card, write_experiment_report
 from roboxim_runs.experiments.scene_leakage import scene_leakage
 from roboxim_runs.experiments.scenes.again import scenes_of
-from roboxim_runs.experiments.scenes.fresh import COMMITTED, in_scenes_of
+from roboxim_runs.experiments.scenes.fresh import COMMITTED, in_scenes_of, store_seed
 from roboxim_runs.experiments.stages import Stages
 from roboxim_runs.experiments.trained.policies import (
     is_named,
@@ -182,6 +182,7 @@ def run_experiment(
     cancellation: Cancellation | None = None,
     executor: Executor | None = None,
     training_executor: Executor | None = None,
+    scenes: SceneSeed | None = None,
 ) -> ExperimentResult:
     """Run the stages of an experiment that its folder lacks.
 
@@ -192,6 +193,8 @@ def run_experiment(
         executor: Runs episodes and reads bags; none: processes of this machine.
         training_executor: Runs the trainings, with as many workers as trainings at a time; its machines share the
             experiment's folder. None: processes of this machine.
+        scenes: Seed of the fresh scenes that the experiments of a benchmark share; none: the folder's, or one that
+            ``fresh`` draws.
 
     Raises:
         CancelledError: When the run was cancelled; the same call continues.
@@ -201,7 +204,7 @@ def run_experiment(
     experiment = load_experiment(config.experiment, config.scale, changes=config.changes, trainer=config.trainer)
     scenes = scenes_of(
         checked_path(config.out), trained=checked_path(config.trained) if config.trained else None, fresh=config.fresh,
-        scene_seed=config.scene_seed,
+        scene_seed=config.scene_seed, shared=scenes,
     )  # fmt: skip
     experiment = in_scenes_of(experiment, scenes.seed if scenes else config.scene_seed)
     design = checked_design(config.experiment, experiment, config.trainer)
@@ -219,6 +222,8 @@ def run_experiment(
 def _run_stages(run: _Run, training_executor: Executor | None) -> ExperimentResult:
     """Run the stages that a folder lacks; write the card when all are there."""
     run.open()
+    if run.scenes is not None:
+        store_seed(run.scenes, run.out)
     stages = [stage for stage in run.stages if run.wanted(stage) and run.ready(stage)]
     for kind, ones in itertools.groupby(stages, key=lambda stage: stage.kind):  # all trainings follow each other
         if kind == "train":
@@ -259,7 +264,7 @@ class _Run:
         kept: KeptProcesses,
         scenes: SceneSeed | None,
     ) -> None:
-        self.config, self.design = config, design
+        self.config, self.design, self.scenes = config, design, scenes
         self._committed = {COMMITTED: scenes.commitment} if scenes else {}
         self.out = checked_path(config.out)
         self.log = ResultsLog(self.out / STAGES_FILE)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -139,6 +140,27 @@ def test_what_fresh_scenes_exclude_is_refused(config):
     one, two = SceneSeed.drawn(), SceneSeed.drawn()
     assert one.commitment != two.commitment
     assert len(one.commitment) == 64
+
+
+@pytest.mark.parametrize("benchmark", [False, True])
+def test_a_refused_call_with_fresh_scenes_leaves_no_seed_behind(fakes, config, tmp_path, monkeypatch, benchmark):
+    experiment = config().experiment
+    folder = tmp_path / "config"
+    (folder / "experiments").mkdir(parents=True)
+    Path(experiment).rename(folder / "experiments/mine.yaml")
+    (folder / "both.yaml").write_text("about: Two of one?\nexperiments: [mine]\n")
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(folder))
+
+    def run(**options):
+        if benchmark:
+            return run_benchmark(BenchmarkRunConfig(benchmark=str(folder / "both.yaml"), out=tmp_path / "b", **options))
+        return run_experiment(ExperimentRunConfig(experiment="mine", out=tmp_path / "b", **options))
+
+    card = run().card
+    with pytest.raises(ConfigError, match="other inputs.*seed"):
+        run(fresh=True)
+    assert not list(tmp_path.rglob("scene_seed.json"))
+    assert run().card.sha256 == card.sha256
 
 
 def test_curves_and_demonstrations_keep_their_scenes():

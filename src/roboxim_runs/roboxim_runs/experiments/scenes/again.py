@@ -16,8 +16,13 @@ from roboxim_eval.experiments.fresh import SceneSeed
 from roboxim_runs.experiments.card import CARD_FILE, STAGES_FILE
 from roboxim_runs.experiments.provenance import ATTEST_FILE
 from roboxim_runs.experiments.report import ExperimentFolder, folder_card
-from roboxim_runs.experiments.scenes.fresh import COMMITTED, PUBLIC_FILE, drawn_seed, share_seed, stored_seed
-from roboxim_runs.storage.folder import make_folder
+from roboxim_runs.experiments.scenes.fresh import (
+    COMMITTED,
+    PUBLIC_FILE,
+    drawn_seed,
+    require_no_other_seed,
+    stored_seed,
+)
 
 
 def attested_seed(out: Path) -> SceneSeed:
@@ -43,8 +48,12 @@ def _uncommitted(out: Path, seed: SceneSeed | None) -> Iterator[str]:
                 yield name
 
 
-def scenes_of(out: Path, *, trained: Path | None, fresh: bool, scene_seed: int) -> SceneSeed | None:
+def scenes_of(
+    out: Path, *, trained: Path | None, fresh: bool, scene_seed: int, shared: SceneSeed | None = None
+) -> SceneSeed | None:
     """Return the seed of a run's fresh scenes; none: its scenes are the public ones, or of a seed that was given.
+
+    It is not written into the folder, as the run may be refused yet; see `store_seed`.
 
     Args:
         out: The run's folder.
@@ -52,18 +61,20 @@ def scenes_of(out: Path, *, trained: Path | None, fresh: bool, scene_seed: int) 
             folder of the whole experiment, which has the seed. None: the folder itself has the trainings.
         fresh: Whether to draw a seed unless the folder has one.
         scene_seed: Seed that was given; 0: none.
+        shared: Seed of the benchmark that the experiment is a part of; none: the folder's, or one that is drawn.
 
     Raises:
         ConfigError: When the folder has another seed, or the trainings are not to be had.
     """
-    if fresh:
-        if trained is not None:
-            take_trainings(trained, out)
-        return drawn_seed(out)
-    if trained is not None and (seed := stored_seed(trained)) is not None:
-        make_folder(out)
-        share_seed(seed, out)
-    seed = stored_seed(out)
+    if fresh and trained is not None:
+        take_trainings(trained, out)
+    elif trained is not None:
+        shared = stored_seed(trained)
+    if shared is not None:
+        require_no_other_seed(shared, out)
+    seed = shared or stored_seed(out)
+    if fresh and seed is None:
+        return SceneSeed.drawn()
     if seed is not None and scene_seed not in (0, seed.seed):
         raise ConfigError(f"{out} has fresh scenes of another seed than --scene-seed; choose another folder (--out)")
     return seed

@@ -1,7 +1,7 @@
 """The seed of fresh scenes in a run's folder, and what the card says about them.
 
 ``OUT/scene_seed.json`` holds the seed and its nonce. It is written once, by ``experiment attest`` before the trainings
-or by the first call with ``--fresh``, and decides the scenes of all later calls. Each training's line in
+or by the first call with ``--fresh`` that is not refused, and decides the scenes of all later calls. Each training's line in
 ``stages.jsonl`` states the commitment that existed when the training ended.
 """
 
@@ -43,23 +43,31 @@ def stored_seed(out: Path) -> SceneSeed | None:
 
 def drawn_seed(out: Path) -> SceneSeed:
     """Return the seed of a run's fresh scenes, drawn by the first call."""
-    seed = stored_seed(out)
-    if seed is None:
-        make_folder(out)
-        seed = SceneSeed.drawn()
-        share_seed(seed, out)
+    seed = stored_seed(out) or SceneSeed.drawn()
+    make_folder(out)
+    store_seed(seed, out)
     return seed
 
 
-def share_seed(seed: SceneSeed, out: Path) -> None:
-    """Write a seed into a run's folder.
+def require_no_other_seed(seed: SceneSeed, out: Path) -> None:
+    """Check that a run's folder may get a seed.
+
+    Raises:
+        ConfigError: When it has another one.
+    """
+    if stored_seed(out) not in (None, seed):
+        raise ConfigError(f"{out} has fresh scenes of another seed; choose another output folder (--out)")
+
+
+def store_seed(seed: SceneSeed, out: Path) -> None:
+    """Write a seed into a run's folder, unless it is there.
 
     Raises:
         ConfigError: When the folder has another one.
     """
-    if (before := stored_seed(out)) is not None and before != seed:
-        raise ConfigError(f"{out} has fresh scenes of another seed; choose another output folder (--out)")
-    write_whole(out / SEED_FILE, json.dumps(to_plain(seed), indent=2) + "\n")
+    require_no_other_seed(seed, out)
+    if not (out / SEED_FILE).exists():
+        write_whole(out / SEED_FILE, json.dumps(to_plain(seed), indent=2) + "\n")
 
 
 def in_scenes_of(config: ExperimentConfig, seed: int) -> ExperimentConfig:
@@ -99,4 +107,13 @@ def _public_card(out: Path) -> Card | None:
     return check_card(read_json(path), source=str(path)) if path.exists() else None
 
 
-__all__ = ["COMMITTED", "PUBLIC_FILE", "card_part", "drawn_seed", "in_scenes_of", "share_seed", "stored_seed"]
+__all__ = [
+    "COMMITTED",
+    "PUBLIC_FILE",
+    "card_part",
+    "drawn_seed",
+    "in_scenes_of",
+    "require_no_other_seed",
+    "store_seed",
+    "stored_seed",
+]
