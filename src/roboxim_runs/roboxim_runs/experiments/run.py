@@ -81,6 +81,8 @@ the evaluation."""
 
 CHANGED = "changed_after_results"
 """Key of ``experiment.json``: sentences for the card."""
+SHARD = "shard"
+"""Key of ``experiment.json``: the part of each stage's episodes that the folder has, ``I/N``; empty: all."""
 RENDERER = "raster"
 """Renderer unless one is named."""
 
@@ -152,11 +154,13 @@ class ExperimentRunConfig(SharedRunConfig):
             raise ConfigError(
                 "--trained is for --shard and --fresh: without them the experiment's folder has the trainings"
             )
-        if self.fresh and (self.shard or self.scene_seed):
+        if self.fresh and self.shard:
             raise ConfigError(
-                "--fresh draws a seed for the whole experiment: leave out --scene-seed; shards take the seed of the "
-                "folder that --trained names, which 'roboxim experiment attest WHOLE' draws"
+                "--fresh draws a seed for the whole experiment: leave it out of a shard, which takes the seed of the "
+                "folder that --trained names; 'roboxim experiment attest --out WHOLE' draws it"
             )
+        if self.fresh and self.scene_seed:
+            raise ConfigError("--fresh draws a seed; leave out --scene-seed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -297,7 +301,10 @@ class _Run:
         done = {entry.data.get("stage", ""): entry.key for entry in self.log.read()}
         for stage in self.stages:
             if stage.name in done and done[stage.name] != self._key(stage) and stage.part in self.config.only:
-                changed = differences(before.get(stage.name, {}), as_json(self._inputs(stage)))
+                changed = differences(
+                    {**before.get(stage.name, {}), SHARD: stored.get(SHARD, "")},
+                    {**as_json(self._inputs(stage)), SHARD: self.config.shard},
+                )
                 raise ConfigError(
                     f"{self.out}: stage '{stage.name}' was finished with other inputs "
                     f"({changed or 'of a stage that it needs'}); choose another output folder (--out)"
@@ -318,7 +325,7 @@ class _Run:
         }  # fmt: skip
         content = {
             "experiment": self.config.experiment, "scale": self.config.scale, "trainer": self.config.trainer,
-            "benchmark": self.config.benchmark,
+            "benchmark": self.config.benchmark, SHARD: self.config.shard,
             "renderer": self.config.renderer if draws else stored.get("renderer", self.config.renderer),
             "config": to_plain(self.design.config), "definitions": defined, "stages": {**before, **inputs},
             CHANGED: [*stored.get(CHANGED, []), *changed_after_results(self.out, stored, self.design.config)],

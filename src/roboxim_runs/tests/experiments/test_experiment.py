@@ -83,6 +83,12 @@ compare: [{{first: a, second: b}}]
 """
 
 
+def test_another_shard_in_the_folder_of_a_finished_one_is_refused_as_such(fakes, config):
+    run_experiment(config(shard="1/2", only=("generate",)))
+    with pytest.raises(ConfigError, match='inputs \\(shard: "1/2" stored, "2/2" requested\\); choose another output'):
+        run_experiment(config(shard="2/2", only=("generate",)))
+
+
 def test_a_changed_task_file_is_refused_by_name(fakes, config, tmp_path):
     task = tmp_path / "pick_cube.yaml"
     task.write_text(TASK)

@@ -131,8 +131,11 @@ def test_trainings_of_another_run_are_refused(fakes, config, tmp_path):
 
 
 def test_what_fresh_scenes_exclude_is_refused(config):
-    with pytest.raises(ConfigError, match="--fresh draws a seed"):
+    with pytest.raises(ConfigError, match="leave it out of a shard") as refused:
         ExperimentRunConfig(experiment="skill_object", fresh=True, shard="1/2", only=("evaluate",))
+    assert "--scene-seed" not in str(refused.value), "an option that was not given"
+    with pytest.raises(ConfigError, match="leave out --scene-seed"):
+        ExperimentRunConfig(experiment="skill_object", fresh=True, scene_seed=12345)
     with pytest.raises(ConfigError, match="--trained is for --shard and --fresh"):
         ExperimentRunConfig(experiment="skill_object", trained="runs/so")
     with pytest.raises(ConfigError, match="nonce of at least 32"):
