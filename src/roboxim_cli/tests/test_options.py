@@ -131,3 +131,16 @@ def test_the_library_is_the_one_that_the_options_name():
     with pytest.raises(ConfigError, match="unknown object 'cubee'"):
         CliRunner().invoke(group, ["generate", "--object", "cubee"], catch_exceptions=False, standalone_mode=False)
     assert "cube" in ModelLibrary().object_ids
+
+
+def test_options_of_robot_new_replace_the_values_of_a_recipe(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        "roboxim_runs.robots.derivation.derive", lambda recipe, *_, **__: made.append(recipe) or tmp_path
+    )
+    recipe = tmp_path / "mine.yaml"
+    recipe.write_text("name: mine\nurdf: arm.urdf\nacceleration: [5]\nmount_xyz: [0, 0, 0.1]\n")
+    words = ["robot", "new", str(recipe), "--name", "other", "--home", "0,1", "--cover", "--gripper", "franka_hand"]
+    CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False)
+    assert (made[0].name, made[0].home, made[0].cover) == ("other", (0.0, 1.0), True)
+    assert (made[0].acceleration, made[0].mount_xyz) == ((5.0,), (0.0, 0.0, 0.1))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from roboxim_cli import strict
 from roboxim_cli.named import Named
@@ -49,7 +51,8 @@ def _names(ctx: click.Context, param: click.Parameter, text: str) -> tuple[str, 
 def new(source: Path, name: str, out: Path, **given: Any) -> None:
     r"""Make a robot from a URDF, a xacro (needs xacrodoc), an MJCF or a recipe (YAML).
 
-    Numbers of joints are one for all of them, or one for each: --acceleration 3.5,2.5,5,5,5,5,5
+    Numbers of joints are one for all of them, or one for each: --acceleration 3.5,2.5,5,5,5,5,5. Options that are
+    given replace the recipe's values.
 
     \b
     roboxim robot new my_arm.urdf --flange tool0 --acceleration 5 --out config
@@ -61,7 +64,9 @@ def new(source: Path, name: str, out: Path, **given: Any) -> None:
     from roboxim_runs.robots.recipe import RobotRecipe
 
     if source.suffix in (".yaml", ".yml"):
-        recipe = load_config(source, RobotRecipe)
+        stated = click.get_current_context().get_parameter_source
+        changes = {key: value for key, value in given.items() if stated(key) is not ParameterSource.DEFAULT}
+        recipe = replace(load_config(source, RobotRecipe), **({"name": name} if name else {}), **changes)
     else:
         stem = source.name.split(".")[0].lower().replace("-", "_")
         recipe = RobotRecipe(name=name or stem, urdf=str(source.resolve()), source=source.name, **given)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -185,20 +185,26 @@ class Arm:
         return max(self._links, key=depth)
 
     def _side_links(self, above: dict[str, Element], chain: set[str]) -> list[Element]:
-        """Return the links with shapes that are fixed to the chain before the flange, e.g. covers."""
-        left_out, side = self.recipe.without, []
+        """Return the links with shapes that are fixed to the chain before the flange, e.g. covers.
+
+        Frames without a shape that hold such a link are among them.
+        """
+        left_out = self.recipe.without
+        side: dict[str, Element] = {}
         if wrong := [name for name in left_out if name not in self._links or name in chain]:
             raise ConfigError(f"{self.path}: without {', '.join(wrong)}: expected links beside the chain")
         for name, link in self._links.items():
-            at, fixed = name, True
+            at, fixed, path = name, True, []
             while at not in chain and at in above:
                 fixed = fixed and above[at].get("type") == "fixed" and at not in left_out
+                path.append(at)
                 at = _parent(above[at])
-            if name not in chain and fixed and at in chain - {self.flange} and any(map(link.findall, SHAPES)):
-                side.append(link)
-                if above[name] not in self._chain:
-                    self._chain.append(above[name])
-        return side
+            if fixed and at in chain - {self.flange} and any(map(link.findall, SHAPES)):
+                for one in reversed(path):
+                    if one not in side:
+                        side[one] = self._links[one]
+                        self._chain.append(above[one])
+        return list(side.values())
 
     def elements(self, folder: Path, report: Callable[[str], None]) -> Iterable[Element]:
         """Yield links and joints with the robot's names and meshes; write the meshes.
@@ -308,6 +314,7 @@ class Arm:
         """Return the content of the robot's YAML file."""
         recipe, count = self.recipe, len(self.joints)
         limits = [self._limits(joint) for joint in self.joints.values()]
+        self._require_home(limits)
         acceleration = spread(recipe.acceleration, count, "acceleration")
         jerk = spread(recipe.jerk, count, "jerk") if recipe.jerk else tuple(a / JERK_TIME_S for a in acceleration)
         efforts = [limit[3] for limit in limits]
@@ -322,6 +329,20 @@ class Arm:
         }
         # Weaker wrists do not keep the tool within 2 mm of its command; see config/robots/panda.yaml.
         return self._file(tool, stated, list(home), [max(effort, 50.0) for effort in efforts])
+
+    def _require_home(self, limits: Iterable[Sequence[float]]) -> None:
+        """Check that the recipe's home lies within the joints' limits, given lower and upper of each first [rad].
+
+        Raises:
+            ConfigError: Naming the first joint that is beyond.
+        """
+        recipe = self.recipe
+        home = spread(recipe.home, len(self.joints), "home") if recipe.home else ()
+        for name, angle, (lower, upper, *_) in zip(self.joints, home, limits, strict=False):
+            if not lower <= angle <= upper:
+                raise ConfigError(
+                    f"home: joint '{name}' is at {angle:g} rad, beyond its limits {lower:.4g} to {upper:.4g} rad"
+                )
 
     def _file(
         self, tool: Gripper, limits: dict[str, Any], home: list[float], motor_force: list[float], gain: float = 0.3
@@ -411,7 +432,8 @@ class ShippedArm(Arm):
     def values(self, tool: Gripper) -> dict[str, Any]:
         """Return the content of the robot's YAML file."""
         limits = {name: list(numbers) for name, numbers in asdict(self.model.limits).items()}
-        home = list(self.recipe.home or self.model.home)
+        self._require_home(list(zip(limits["lower"], limits["upper"], strict=True)))
+        home = list(spread(self.recipe.home, len(self.joints), "home") if self.recipe.home else self.model.home)
         return self._file(tool, limits, home, list(self.model.motor_force), self.model.position_gain)
 
 

@@ -63,7 +63,14 @@ class RobotRecipe:
     """Triangles of a link's visual mesh. The renderer draws a coarse shape of a link with more faces than pixels."""
 
     def __post_init__(self) -> None:
-        """Check what one value says about another."""
+        """Check what one value says about another.
+
+        Raises:
+            ConfigError: When one is missing or out of range.
+        """
+        for name in ("base_xyz", "mount_xyz", "mount_rpy"):
+            if len(given := getattr(self, name)) != 3:
+                raise ConfigError(f"{name}: expected 3 numbers, got {len(given)}")
         if bool(self.urdf) == bool(self.arm):
             raise ConfigError(
                 "expected either urdf, a file to derive an arm from, or arm, a robot of config/robots that gets "

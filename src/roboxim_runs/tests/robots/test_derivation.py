@@ -125,6 +125,7 @@ def test_the_proofs_of_geometry_hold(made: Path, monkeypatch: pytest.MonkeyPatch
             "upper must be a number, with a po",
         ),
         ({"limit": f'{LIMIT}<mimic joint="j2"/>'}, {}, r"joint 'j1' follows another one \(<mimic>\)"),
+        ({}, {"home": (10.0,)}, "home: joint 'j1' is at 10 rad, beyond its limits -3 to 3 rad"),
         ({}, {"without": ("l9", "l2")}, "without l9, l2: expected links beside the chain"),
     ],
 )
@@ -164,21 +165,30 @@ def test_torques_can_be_given(tmp_path: Path) -> None:
     assert made["limits"]["effort"] == [40.0] * 6
 
 
-@pytest.mark.parametrize(("without", "kept"), [((), ["palm", "tip", "guard"]), (("palm",), ["guard"])])
+@pytest.mark.parametrize(
+    ("without", "kept"), [((), ["palm", "tip", "frame", "guard"]), (("palm",), ["frame", "guard"])]
+)
 def test_links_fixed_beside_the_chain_are_kept_and_named_unless_left_out(
     tmp_path: Path, without: tuple[str, ...], kept: list[str]
 ) -> None:
     urdf = small_arm(tmp_path)
     shape = '<geometry><box size="0.02 0.02 0.02"/></geometry>'
-    parts = {"palm": ("l5", "visual"), "tip": ("palm", "visual"), "guard": ("l2", "collision")}
+    boxes = {kind: f"<{kind}>{shape}</{kind}>" for kind in ("visual", "collision")} | {"none": ""}
+    parts = {"palm": ("l5", "visual"), "tip": ("palm", "visual"), "frame": ("l2", "none"), "bare": ("l2", "none"),
+             "guard": ("frame", "collision")}  # fmt: skip
     more = "".join(
-        f'<link name="{name}"><{tag}>{shape}</{tag}></link>'
+        f'<link name="{name}">{boxes[kind]}</link>'
         f'<joint name="{name}_fix" type="fixed"><parent link="{parent}"/><child link="{name}"/></joint>'
-        for name, (parent, tag) in parts.items()
+        for name, (parent, kind) in parts.items()
     )
     urdf.write_text(urdf.read_text().replace("</robot>", f"{more}</robot>"))
     arm = Arm(expanded(urdf), urdf, recipe(urdf, flange="l6", without=without))
     assert arm.beside == kept
+    for folder in ("visual", "collision"):
+        (tmp_path / folder).mkdir()
+    made = list(arm.elements(tmp_path, lambda line: None))
+    links = {one.get("name") for one in made if one.tag == "link"}
+    assert {one.find("parent").get("link") for one in made if one.tag == "joint"} <= links
 
 
 @pytest.mark.thorough
@@ -210,6 +220,12 @@ def test_what_collision_shapes_leave_uncovered_is_said_and_can_be_covered(tmp_pa
     part = trimesh.load_mesh(tmp_path / "out" / "collision" / "l3_1_1.stl")
     assert part.extents[2] == pytest.approx(0.30 if cover else 0.06, abs=3e-3)
     assert len([element for element in made if element.tag == "link"]) == 7
+
+
+@pytest.mark.parametrize("name", ["mount_xyz", "mount_rpy", "base_xyz"])
+def test_a_place_of_two_numbers_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ConfigError, match=f"{name}: expected 3 numbers, got 2"):
+        recipe(tmp_path / "arm.urdf", **{name: (0.0, 0.0)})
 
 
 def test_accelerations_are_asked_for() -> None:
