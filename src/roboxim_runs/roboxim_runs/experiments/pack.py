@@ -93,7 +93,7 @@ def pack(out: Path, target: Path, *, most_bytes: int = MAX_BYTES) -> Pack:
     if not (out / EXPERIMENT_FILE).exists() and not (out / BENCHMARK_FILE).exists():
         raise ConfigError(f"{out} is not the folder of an experiment or a benchmark: it has no {EXPERIMENT_FILE}")
     if target.exists():
-        raise ConfigError(f"{target} exists; remove it, or name another file with --file")
+        raise ConfigError(f"{target} exists; remove it, or name another file with --out")
     partial, drafts = (target.with_name(f".{target.name}.{kind}") for kind in ("partial", "drafts"))
     shutil.rmtree(drafts, ignore_errors=True)  # a killed call left it
     drafts.mkdir()
