@@ -26,6 +26,8 @@ STORED_FILE = "stored.jsonl"
 """File with a line for each stored bag: its path in the run and the SHA-256 and size of its files."""
 SMALL_FILES = (RUN_FILE, RESULTS_FILE, STORED_FILE)
 """Files of a run that are uploaded besides its bags."""
+SHARDS = "shards"
+"""Folder of a store with such files of each shard, until they are merged."""
 SUMS_FILE = "SHA256SUMS"
 """Checksums of a dataset's files, the last file of its upload."""
 TRIES = 4
@@ -264,10 +266,13 @@ def _download(url: str, folder: Path) -> None:
         names = [name for name in store.find() if not name.endswith(".partial")]  # a killed upload leaves those
         if not names:
             raise ConfigError(f"{url} has nothing in it")
-        for name in SMALL_FILES:
+        lists = sorted(name for name in names if Path(name).match(f"{SHARDS}/*/{STORED_FILE}"))
+        for name in (*lists, *SMALL_FILES):
             if name in names:
                 store.get(name, folder / name)
-        known = stored_bags(folder)
+        known: dict[str, dict[str, Any]] = {}
+        for run in (*(Path(name).parent for name in lists), Path()):  # the merged run's list is the newest
+            known |= stored_bags(folder / run)
         for bag, files in known.items():
             for name, facts in files.items():
                 store.get(f"{bag}/{name}", folder / bag / name, sha256=facts["sha256"])

@@ -14,9 +14,8 @@ from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.plain_data.results_log import RUN_FILE
 from roboxim_runs.storage.folder import MAY_DIFFER, run_key
-from roboxim_runs.storage.store import SMALL_FILES, STORED_FILE, Store, stored_bags
+from roboxim_runs.storage.store import SHARDS, SMALL_FILES, STORED_FILE, Store, stored_bags
 
-SHARDS = "shards"
 """Folder of a store with a folder ``I-of-N`` for each shard's small files."""
 UPLOAD_PERIOD_S = 60.0
 """Time between two uploads of a run's small files [s]."""

@@ -75,6 +75,13 @@ def test_how_a_run_ended_is_in_its_folder(tmp_path, error, state, message):
     assert (found.done, found.total, found.kind, found.executor) == (6, 6, "generate", "instant")
 
 
+def test_an_episode_that_was_repaired_counts_once(tmp_path):
+    run(tmp_path / "run", Instant())
+    with RunFolder(tmp_path / "run").opened(RunFolder(tmp_path / "run").config()) as folder:
+        folder.append(EpisodeResult(episode_id="demo-0-00003-1", index=3, outcome="success"))
+    assert run_state(tmp_path / "run").done == 6
+
+
 def test_a_running_run_has_a_rate_and_a_killed_one_is_lost(tmp_path):
     seen = []
 

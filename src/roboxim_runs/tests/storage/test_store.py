@@ -252,6 +252,19 @@ def test_shards_of_two_runs_share_no_store(url, tmp_path):
     assert run_into(url, tmp_path / "a") == []
 
 
+def test_a_damaged_bag_of_shards_that_are_not_merged_is_named(tmp_path):
+    pytest.importorskip("fsspec")
+    url = f"file://{tmp_path}/store"
+    run_into(url, tmp_path / "a1", shard="1/2")
+    run_into(url, tmp_path / "a2", shard="2/2")
+    with local_sources([url]) as [folder]:
+        assert len(list(folder.glob("**/x_0.mcap"))) == 3
+    (tmp_path / "store" / result(1).bag / "x_0.mcap").write_bytes(b"another" + MCAP0_MAGIC)
+    named = rf"{result(1).bag}/x_0.mcap is not the file that was stored"
+    with pytest.raises(RecorderError, match=named), local_sources([url]):
+        pass
+
+
 def test_a_run_that_has_bags_in_a_store_keeps_it(tmp_path):
     pytest.importorskip("fsspec")
     run_into(f"file://{tmp_path}/store", tmp_path / "a")

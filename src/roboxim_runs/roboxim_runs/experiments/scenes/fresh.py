@@ -1,8 +1,8 @@
 """The seed of fresh scenes in a run's folder, and what the card says about them.
 
 ``OUT/scene_seed.json`` holds the seed and its nonce. It is written once, by ``experiment attest`` before the trainings
-or by the first call with ``--fresh`` that is not refused, and decides the scenes of all later calls. Each training's line in
-``stages.jsonl`` states the commitment that existed when the training ended.
+or by the first call with ``--fresh`` that is not refused, and decides the scenes of all later calls. Each training's
+line in ``stages.jsonl`` states the commitment that existed when the training ended.
 """
 
 from __future__ import annotations
