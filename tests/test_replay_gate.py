@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +20,14 @@ from roboxim_recorder.export import EXPORTERS, ExportReport
 from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.integrity.repair import OUTCOME_UNKNOWN, repair_bag
 from roboxim_runs.datasets.export import REPLAY_FILE, export_dataset, gated
-from roboxim_runs.datasets.replay_gate import replay_dataset, replay_episode, spread
+from roboxim_runs.datasets.replay_gate import (
+    EpisodeReplay,
+    ReplayReport,
+    StreamReplay,
+    replay_dataset,
+    replay_episode,
+    spread,
+)
 from roboxim_runs.episodes.reexecution import rejudge
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_sim.world import World
@@ -67,6 +75,21 @@ def replayed(exported, run, sim, number, change=lambda step: step, *, labels=Fal
 
     bag = BagReader(run / "episodes" / episode.episode_id)
     return replay_episode(replace(episode, read=read, **fields), bag, sim, labels=labels)
+
+
+def test_a_refusal_for_episodes_without_noise_names_one_of_them():
+    def replay(number, *, noise_free):
+        solved = StreamReplay(success=True, reason="", steps=1, tcp_error_m=(0.0,))
+        lost = replace(solved, success=False, reason="missed")
+        return EpisodeReplay(
+            split="train", index=number, episode_id=f"demo-{number}", recorded_success=True, lossless=True,
+            noise_free=noise_free, executed=solved, labels=lost,
+        )  # fmt: skip
+
+    episodes = replay(0, noise_free=False), replay(1, noise_free=True)
+    refusal = ReplayReport(path=Path("a"), format="rlds", episodes=episodes).refusal
+    assert "episodes without noise" in refusal
+    assert refusal.endswith("first: demo-1 (missed)")
 
 
 @pytest.mark.thorough

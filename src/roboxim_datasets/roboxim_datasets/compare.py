@@ -4,6 +4,7 @@ Numbers are compared bit for bit as float32: actions, executed actions, observed
 compared exactly where both formats are lossless. Where a codec lies between, every image must reach a peak
 signal-to-noise ratio (PSNR). Episodes are compared by their place in their split, because their order is part of what a
 trainer sees. Depth and segmentation are compared too, depth between formats within the rounding of LeRobot's unit.
+Names of components are compared where both datasets state them. Metadata of episodes are not compared.
 """
 
 from __future__ import annotations
@@ -166,9 +167,12 @@ def _common_names(a: Dataset, b: Dataset, ignore: Sequence[str], found: Comparis
     cameras = common("the camera", first.cameras, second.cameras) if with_images else ()
     depth = common("depth of camera", first.depth, second.depth) if with_images else ()
     segmentation = common("segmentation of camera", first.segmentation, second.segmentation) if with_images else ()
+    _compare_components("action", first.action, second.action, found)
     for name in vectors:
-        if len(first.vectors[name]) != len(second.vectors[name]):
-            found.add(f"vector '{name}': {len(first.vectors[name])} components against {len(second.vectors[name])}")
+        _compare_components(f"vector '{name}'", first.vectors[name], second.vectors[name], found)
+    for name in signals:
+        if name != EXECUTED:  # its components are the action's
+            _compare_components(f"signal '{name}'", first.signals[name], second.signals[name], found)
     for camera in cameras:
         if first.cameras[camera] != second.cameras[camera]:
             found.add(f"camera '{camera}': {first.cameras[camera]} against {second.cameras[camera]}")
@@ -183,6 +187,7 @@ def _common_names(a: Dataset, b: Dataset, ignore: Sequence[str], found: Comparis
         "numbers": ", ".join(["action", *vectors, *signals]) + ", bit for bit as float32",
         "texts": "instruction, " + "subtask, " * (first.subtasks or second.subtasks) + "episode id",
         "order": "by place in the split",
+        "metadata": "not compared",
     }
     return _Names(
         vectors=vectors,
@@ -194,6 +199,21 @@ def _common_names(a: Dataset, b: Dataset, ignore: Sequence[str], found: Comparis
         executed=EXECUTED in signals,
         subtasks=first.subtasks or second.subtasks,
     )
+
+
+def _compare_components(what: str, first: tuple[str, ...], second: tuple[str, ...], found: Comparison) -> None:
+    """Compare the names of components; a dataset that does not state them has numbered ones, which are not compared."""
+    if len(first) != len(second):
+        found.add(f"{what}: {len(first)} components against {len(second)}")
+    elif first != second and not (_are_numbered(first) or _are_numbered(second)):
+        found.add(f"{what}: components {', '.join(first)} against {', '.join(second)}")
+
+
+def _are_numbered(names: tuple[str, ...]) -> bool:
+    parts = [name.rpartition(".") for name in names]
+    return len({part for part, _, _ in parts}) == 1 and [last for *_, last in parts] == [
+        str(i) for i in range(len(names))
+    ]
 
 
 def _compare_episode(

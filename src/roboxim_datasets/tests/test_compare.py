@@ -88,6 +88,21 @@ def test_another_length_order_split_or_feature_is_named(tmp_path, write, episode
     assert "splits: {'train': 2} against {'train': 1, 'val': 1}" in map(str, found.differences)
 
 
+def test_other_names_of_components_are_named_unless_a_dataset_states_none(tmp_path, write, description):
+    def named(folder, last, state):
+        action = (*description.features.action[:-1], last)
+        features = replace(
+            description.features, action=action, vectors={**description.features.vectors, "state": state}
+        )
+        return write(tmp_path / folder, [0], format="hdf5", description=replace(description, features=features))
+
+    a, b = named("a", "gripper", ("tcp.x", "tcp.y")), named("b", "jaw", ("tcp.y", "tcp.x"))
+    found = [str(difference) for difference in compare(a, b).differences]
+    assert any(text.startswith("action: components dx, dy") and "dyaw, jaw" in text for text in found), found
+    assert "vector 'state': components tcp.x, tcp.y against tcp.y, tcp.x" in found
+    assert compare(a, named("c", "gripper", ("state.0", "state.1"))).equal
+
+
 def test_bits_count_not_values():
     assert same_bits([np.nan, 1.0], [np.nan, 1.0])
     assert not same_bits([0.0], [-0.0])

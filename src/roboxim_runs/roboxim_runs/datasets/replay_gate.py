@@ -149,12 +149,18 @@ class ReplayReport:
             return {}
         return {"median": float(np.median(errors)), "p95": float(np.quantile(errors, 0.95)), "max": max(errors)}
 
-    def failed(self, stream: Stream) -> list[EpisodeReplay]:
-        """Return the recorded successes that a stream does not solve again, in the order of the dataset."""
+    def failed(self, stream: Stream, *, noise_free: bool = False) -> list[EpisodeReplay]:
+        """Return the recorded successes that a stream does not solve again, in the order of the dataset.
+
+        Args:
+            stream: The stream.
+            noise_free: Whether to return episodes without noise only.
+        """
         return [
             episode
             for episode in self.episodes
-            if episode.recorded_success and (replay := episode.stream(stream)) is not None and not replay.success
+            if episode.recorded_success and (episode.noise_free or not noise_free)
+            if (replay := episode.stream(stream)) is not None and not replay.success
         ]
 
     @cached_property
@@ -179,15 +185,9 @@ class ReplayReport:
         for stream, noise_free, what in streams:
             retained = self.retained(stream, noise_free=noise_free)
             if retained.fraction < self.required:
-                return f"{what} {retained}, required are {100 * self.required:.0f} %; first: {self._first(stream)}"
+                failure = _shown(self.failed(stream, noise_free=noise_free)[0], stream)
+                return f"{what} {retained}, required are {100 * self.required:.0f} %; first: {failure}"
         return ""
-
-    def _first(self, stream: Stream) -> str:
-        episode = next(iter(self.failed(stream)))
-        replay = episode.stream(stream)
-        assert replay is not None
-        where = f", {APART_M * 1e3:g} mm from the recording at tick {replay.apart_at}" if replay.apart_at >= 0 else ""
-        return f"{episode.episode_id} ({replay.reason}{where})"
 
     @property
     def lines(self) -> Iterator[str]:
@@ -207,8 +207,8 @@ class ReplayReport:
                 noise_free = self.retained("labels", noise_free=True)
                 required = f"{noise_free} retained" if noise_free.of else "none here, so nothing is required"
                 yield f"    required only of episodes without injected noise: {required}"
-            if self.failed(stream):
-                yield f"    first failure: {self._first(stream)}"
+            if failed := self.failed(stream):
+                yield f"    first failure: {_shown(failed[0], stream)}"
         for episode in self.episodes:
             if episode.problem:
                 yield f"  {episode.split}/{episode.index} {episode.episode_id}: {episode.problem}"
@@ -225,6 +225,13 @@ class ReplayReport:
             facts[stream] = {"retained": retained.successes, "of": retained.of, "tcp_error_m": self.tcp_error_m(stream)}
         facts["episodes"] = [to_plain(episode) for episode in self.episodes]
         return json.dumps(facts, indent=1) + "\n"
+
+
+def _shown(episode: EpisodeReplay, stream: Stream) -> str:
+    replay = episode.stream(stream)
+    assert replay is not None
+    where = f", {APART_M * 1e3:g} mm from the recording at tick {replay.apart_at}" if replay.apart_at >= 0 else ""
+    return f"{episode.episode_id} ({replay.reason}{where})"
 
 
 # ------------------------------------------------------------------ one episode

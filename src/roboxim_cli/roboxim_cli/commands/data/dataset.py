@@ -134,8 +134,8 @@ def info(dataset: Path, card: bool, as_json: bool) -> None:
 def diff(a: Path, b: Path, images: Any, psnr: float, ignore: tuple[str, ...]) -> None:
     """Prove that two datasets of any formats are equal, or name what differs.
 
-    Actions, states and signals are compared bit for bit as float32; lengths, instructions, ids and the order too. The
-    exit code is 1 when they differ.
+    Actions, states and signals are compared bit for bit as float32; lengths, instructions, ids and the order too;
+    metadata of episodes are not. The exit code is 1 when they differ.
     """
     from roboxim_cli.printer import EventPrinter
     from roboxim_datasets.compare import comparison_text
