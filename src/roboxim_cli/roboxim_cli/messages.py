@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import array
 import importlib
+import math
 import os
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -164,12 +166,26 @@ def _scalar(typename: str, value: Any, path: str) -> Any:
         raise ConfigError(f"field '{path}': expected true or false, got {value!r}")
     if typename in ("float", "double"):
         if isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
+            return _float(typename, value, path)
         raise ConfigError(f"field '{path}': expected a number, got {value!r}")
     low, high = _INT_RANGES[typename]
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ConfigError(f"field '{path}': expected a whole number from {low} to {high}, got {value!r}")
     return bytes([value]) if typename == "octet" else value
+
+
+def _float(typename: str, value: float, path: str) -> float:
+    kind = np.float32 if typename == "float" else np.float64
+    try:
+        found = float(value)
+        with np.errstate(over="ignore"):
+            fits = math.isinf(found) or not np.isinf(kind(found))
+    except OverflowError:  # a whole number of very many digits
+        fits = False
+    if not fits:
+        largest = f"{np.finfo(kind).max:.8g}"
+        raise ConfigError(f"field '{path}': expected a number from -{largest} to {largest}, got one beyond them")
+    return found
 
 
 def _sequence(kind: Any, value: Any, path: str) -> Any:
@@ -199,6 +215,40 @@ def message_to_plain(message: Any, *, full: bool = False) -> Any:
         kinds = dict(zip(message.get_fields_and_field_types(), message.SLOT_TYPES, strict=True))
         return {name: _plain(getattr(message, name), kind, full) for name, kind in kinds.items()}
     return message
+
+
+def field_to_plain(message: Any, field: str, *, full: bool = False) -> Any:
+    """Turn a field of a message into dicts, lists and scalars.
+
+    Args:
+        message: The message.
+        field: Names of fields and indices of elements with points between them, e.g. ``points.-1.positions``; a
+            negative index counts from the end. Empty: the whole message.
+        full: See `message_to_plain`.
+
+    Raises:
+        ConfigError: When the message has no such field or element.
+    """
+    value, kind = message, None
+    for part in field.split(".") if field else ():
+        if hasattr(value, "get_fields_and_field_types"):
+            kinds = dict(zip(value.get_fields_and_field_types(), value.SLOT_TYPES, strict=True))
+            if part not in kinds:
+                raise ConfigError(f"no field '{part}' in '{field}'; {one_of(kinds, part)}")
+            value, kind = getattr(value, part), kinds[part]
+        elif isinstance(kind, Array | AbstractSequence):
+            count = len(value)
+            if not re.fullmatch("-?[0-9]{1,9}", part) or not -count <= int(part) < count:
+                raise ConfigError(
+                    f"no element '{part}' in '{field}': expected a whole number from {-count} to {count - 1}"
+                    if count
+                    else f"no element '{part}' in '{field}': the array is empty"
+                )
+            place = int(part) % count
+            value, kind = _items(value[place : place + 1])[0], kind.value_type
+        else:
+            raise ConfigError(f"no field '{part}' in '{field}': what lies before it is one value")
+    return message_to_plain(value, full=full) if kind is None else _plain(value, kind, full)
 
 
 def _plain(value: Any, kind: Any, full: bool) -> Any:

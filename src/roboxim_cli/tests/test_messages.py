@@ -68,6 +68,8 @@ def test_fixed_array_is_filled():
         (JointState, "{header: {stamp: {secs: 1}}}", "unknown field 'header.stamp.secs'.*nanosec, sec"),
         (JointState, "{position: 1.0}", "'position': expected a list"),
         (Image, "{is_bigendian: 256}", "from 0 to 255"),
+        (JointState, f"{{position: [1{400 * '0'}]}}", r"'position\[0\]': expected a number from -1.79.*e\+308 to 1.79"),
+        (Float32, "{data: 1.0e+300}", "'data': expected a number from -3.4028235e\\+38 to 3.4028235e\\+38"),
     ],
 )
 def test_bad_yaml_names_the_field(cls, text, complaint):
@@ -93,8 +95,36 @@ def test_long_arrays_are_shortened_unless_asked_for():
     assert len(messages.message_to_plain(JointTrajectory(points=points[:16]))["points"]) == 16
 
 
+def test_a_field_is_selected_from_the_whole_message():
+    image = Image(data=bytes(range(200)))
+    assert messages.field_to_plain(image, "data.100") == 100
+    assert messages.field_to_plain(image, "data.-1") == 199
+    assert len(messages.field_to_plain(image, "data")) == messages.SHOWN_ELEMENTS + 1
+    assert messages.field_to_plain(image, "") == messages.message_to_plain(image)
+    points = [JointTrajectoryPoint(positions=[float(k)]) for k in range(100)]
+    assert messages.field_to_plain(JointTrajectory(points=points), "points.99.positions.0") == 99.0
+    assert messages.field_to_plain(Contact(force_on_b=[0.0, 0.0, 0.5]), "force_on_b.2") == 0.5
+
+
+@pytest.mark.parametrize(
+    ("field", "complaint"),
+    [
+        ("data.200", "no element '200' in 'data.200': expected a whole number from -200 to 199"),
+        ("data.-201", "no element '-201'"),
+        ("data.first", "no element 'first'"),
+        ("data.0.x", "no field 'x' in 'data.0.x': what lies before it is one value"),
+        ("header.stamp.secs", "no field 'secs'.*expected one of"),
+    ],
+)
+def test_a_field_that_is_not_there_is_named(field, complaint):
+    with pytest.raises(ConfigError, match=complaint):
+        messages.field_to_plain(Image(data=bytes(200)), field)
+
+
 def test_floats_are_as_short_as_they_are_exact():
     assert yaml_text.dump(messages.message_to_plain(Float32(data=0.1))) == "{data: 0.1}\n"
+    for value in (3.4028235e38, float("inf"), -0.1):  # as they are printed
+        assert messages.message_to_plain(messages.message_from_plain(Float32, {"data": value})) == {"data": value}
 
 
 def test_bytes_survive():

@@ -72,6 +72,12 @@ def test_down_goes_on_after_a_run_that_has_ended_meanwhile(monkeypatch):
     assert sleeper.wait(10) == -signal.SIGTERM
 
 
+def test_down_does_not_end_all_runs_when_one_is_named(monkeypatch):
+    monkeypatch.setattr(runs, "live_runs", lambda: pytest.fail("looked for every run"))
+    said = CliRunner().invoke(group, ["down", "--run", "mine", "--all"])
+    assert "--all ends every run, not 'mine' alone" in f"{said.exception} {said.output}"
+
+
 def test_the_log_of_a_live_run_is_not_erased(monkeypatch, tmp_path):
     monkeypatch.setattr(runs, "live_runs", lambda: [SimpleNamespace(id="bench")])
     with pytest.raises(ConfigError, match="a run named 'bench' is alive already"):

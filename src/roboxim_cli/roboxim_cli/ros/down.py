@@ -17,11 +17,14 @@ GRACE_S = 60.0
 
 @strict.command()
 @run_option
-@click.option("--all", "every", is_flag=True, help="End all runs of this user.")
+@click.option("--all", "every", is_flag=True, help="End all runs of this user, instead of one.")
 def command(run_id: str | None, every: bool) -> None:
     """End a run. The command signals the run's first process, which ends the others."""
+    from roboxim_core.errors import ConfigError
     from roboxim_ros.runs import find_run, live_runs
 
+    if every and run_id is not None:
+        raise ConfigError(f"--all ends every run, not '{run_id}' alone; leave out --all or --run")
     for run in live_runs() if every else [find_run(run_id)]:
         pids = run.live_pids
         if not pids:

@@ -73,14 +73,14 @@ def echo(
     peer: Peer, name: str, type_name: str | None, once: bool, field: str | None, full: bool, timeout: float | None
 ) -> None:
     """Print the messages of a topic as YAML, separated by ---."""
-    from roboxim_cli.messages import message_to_plain
+    from roboxim_cli.messages import field_to_plain
     from roboxim_core.plain_data.yaml_text import dump
 
     def remind() -> None:
         click.echo(_silence(absolute(name)), err=True)
 
     def show(message: Any) -> None:
-        click.echo(dump(_select(message_to_plain(message, full=full), field)) + "---")
+        click.echo(dump(field_to_plain(message, field or "", full=full)) + "---")
 
     _listen(peer, name, type_name, show, once=once, timeout_s=timeout, silent=remind)
 
@@ -190,20 +190,6 @@ def pub(
 
         publisher.wait_for_all_acked(Duration(seconds=2))
         click.echo(f"published {sent} on {absolute(name)}")
-
-
-def _select(value: Any, field: str | None) -> Any:
-    from roboxim_core.errors import ConfigError, one_of
-
-    for part in field.split(".") if field else ():
-        if isinstance(value, list) and part.lstrip("-").isdigit() and int(part) < len(value):
-            value = value[int(part)]
-        elif isinstance(value, dict) and part in value:
-            value = value[part]
-        else:
-            names = value if isinstance(value, dict) else ()
-            raise ConfigError(f"no field '{part}' in '{field}'; {one_of(names, part)}")
-    return value
 
 
 def _listen(
