@@ -301,3 +301,9 @@ def test_materials_and_sizes_change_look_mass_and_grasps() -> None:
         LIBRARY.object("cube", {"size": "lrage"})
     with pytest.raises(ConfigError, match="unknown material 'ceramic'"):
         LIBRARY.object("cube", {"material": "ceramic"})
+
+
+@pytest.mark.parametrize("count", [0, 65])
+def test_an_arm_of_no_or_too_many_joints_is_refused_when_it_is_read(count: int) -> None:
+    with pytest.raises(ConfigError, match=f"joint_names: expected 1 to 64 joints of an arm, got {count}"):
+        replace(LIBRARY.robot("panda"), joint_names=("a",) * count)

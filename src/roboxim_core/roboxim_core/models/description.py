@@ -33,6 +33,8 @@ class Shape:
     """Pose in the link."""
 
 
+MOST_JOINTS = 64
+"""Most joints of an arm that the planner's kernel takes."""
 MAX_SHAPES = 16
 """Most collision shapes of one link that PyBullet takes; it silently drops further ones. Boxes are packed into one."""
 
@@ -446,11 +448,13 @@ class RobotModel:
     placed off it. Empty: the arm stands beside the table."""
 
     def __post_init__(self) -> None:
-        """Check that every list has one number per joint, the colours' meaning, the rotations, the start and the stand.
+        """Check the number of joints, one number per joint in each list, the colours' meaning, rotations, start, stand.
 
         Raises:
             ConfigError: Naming the list.
         """
+        if not 1 <= len(self.joint_names) <= MOST_JOINTS:
+            raise ConfigError(f"joint_names: expected 1 to {MOST_JOINTS} joints of an arm, got {len(self.joint_names)}")
         if self.mesh_colors not in ("srgb", "linear"):
             raise ConfigError(f"mesh_colors: expected srgb or linear, got '{self.mesh_colors}'")
         if self.stand and (len(self.stand) != 4 or self.stand[0] >= self.stand[2] or self.stand[1] >= self.stand[3]):
