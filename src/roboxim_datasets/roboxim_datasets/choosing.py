@@ -6,11 +6,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 
-from roboxim_core.errors import ErrorCode, RecorderError
+from roboxim_core.config import from_json
+from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
+from roboxim_core.specs import TaskSpec
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import Episode, Step, Wanted
 from roboxim_datasets.plans import Place, plan_of
-from roboxim_datasets.where import Choice, Edit, Fact
+from roboxim_datasets.where import Choice, Edit, Fact, facts_of_task
 
 
 def chosen_plan(dataset: Dataset, texts: Iterable[str]) -> dict[str, list[Place]]:
@@ -45,19 +47,26 @@ def chosen_plan(dataset: Dataset, texts: Iterable[str]) -> dict[str, list[Place]
 
 
 def facts_of(place: Place) -> dict[str, Fact]:
-    """Return what conditions can compare of an episode: what the dataset says of it."""
+    """Return what conditions can compare of an episode: what the dataset says of it, and its recorded task."""
     episode = place.read()
     outcome = {True: "success", False: "failure", None: "unknown"}[episode.success]
     metadata = {name: (str(value),) for name, value in episode.metadata.items() if name != "task"}
     name = f"{place.split}/{place.index}"
-    return metadata | {
+    facts = metadata | {
         "episode": (episode.episode_id, name) if episode.episode_id else (name,),
         "split": (place.split,),
         "instruction": (episode.instruction,),
         "outcome": (outcome,),
         "steps": (str(episode.length),),
         "robot": (episode.robot,),
+        "camera": tuple(episode.cameras),
+        "rate_hz": (f"{episode.fps:g}",) if episode.fps else (),
     }
+    try:
+        task = from_json(str(episode.metadata.get("task", "")), TaskSpec)
+    except ConfigError:  # none was recorded, or another tool uses the name
+        return facts
+    return facts_of_task(task) | facts
 
 
 def edited(episode: Episode, edit: Edit) -> Episode:

@@ -20,6 +20,8 @@ from dataclasses import dataclass, replace
 
 from roboxim_core.errors import InvalidRequestError, one_of, printable
 from roboxim_core.plain_data.documents import read_text
+from roboxim_core.seeds import CELL
+from roboxim_core.specs import TaskSpec
 
 Fact = tuple[str, ...]
 """Values of a key, as text; several if the episode has several, e.g. of ``object``."""
@@ -221,6 +223,33 @@ def require_known(conditions: Sequence[Condition], episodes: Iterable[Mapping[st
         for pattern in condition.values:
             if not any(_matches(value, pattern) for value in known):
                 raise InvalidRequestError(f"no episode has {condition.key}={pattern}; {one_of(known, pattern)}")
+
+
+def cell_of(task: TaskSpec) -> str:
+    """Return the cell of a task: that of its mix if it has one, else its skill."""
+    return task.drawn.get(CELL, task.skill)
+
+
+def facts_of_task(task: TaskSpec) -> dict[str, Fact]:
+    """Return the facts of an episode that its task holds.
+
+    ``object`` has the models of the task's objects. A role (``target``) has its model, ``target.color`` a modifier of
+    it. ``drawn.<name>`` has a drawn parameter, ``argument.<name>`` an argument.
+    """
+    facts: dict[str, Fact] = {
+        "skill": (task.skill,),
+        "cell": (cell_of(task),),
+        "object": tuple(dict.fromkeys(thing.model for thing in task.objects.values())),
+    }
+    for role, thing in task.objects.items():
+        facts[role] = (thing.model,)
+        facts |= {f"{role}.{name}": (_text(value),) for name, value in thing.modifiers.items()}
+    facts |= {f"argument.{name}": (_text(value),) for name, value in task.arguments.items()}
+    return facts | {f"drawn.{name}": (value,) for name, value in task.drawn.items()}
+
+
+def _text(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _matches(value: str, pattern: str) -> bool:

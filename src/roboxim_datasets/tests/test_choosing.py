@@ -1,9 +1,13 @@
 """Episodes of a dataset are chosen, trimmed and relabelled while it is converted; the source stays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from roboxim_core.config import to_json
 from roboxim_core.errors import InvalidRequestError, RecorderError
+from roboxim_core.specs import PhysicalObject, TaskSpec
 from roboxim_datasets.choosing import chosen_plan
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.rewrite import write_dataset
@@ -54,3 +58,19 @@ def test_edits_of_one_episode_add_up():
     choice = Choice.parse(["trim a 1..2", "relabel a b = c", "relabel=x", "trim a 2..3"])
     assert choice.edits == {"a": Edit(episode="a", steps=(2, 3), instruction="b = c")}
     assert [text for text, _ in choice.conditions] == ["relabel=x"]
+
+
+def test_conditions_can_name_the_recorded_task(tmp_path, write, episode_of):
+    def of(index, model, color):
+        thing = PhysicalObject(entity="target", name=model, model=model, modifiers={"color": color})
+        task = TaskSpec(
+            skill="pick_up", objects={"target": thing}, arguments={"lift_m": 0.05}, instruction="", drawn={"cell": "a"}
+        )
+        episode = episode_of(index)
+        return replace(episode, metadata={**episode.metadata, "task": to_json(task)})
+
+    source = write(tmp_path / "a", [of(0, "cube", "red"), of(1, "apple", "red"), episode_of(2)])
+    for text in ("object=apple", "target=apple", "target!=cube", "camera=work*", "rate_hz=10"):
+        texts = [text, "target.color=red", "cell=a", "argument.lift_m<0.1", "drawn.cell=a"]
+        kept = [place.index for place in chosen_plan(source, texts)["train"]]
+        assert kept == ([1] if "apple" in text or "!" in text else [0, 1]), text

@@ -9,11 +9,10 @@ from pathlib import Path
 
 from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
 from roboxim_datasets.episode import PART
-from roboxim_datasets.where import Edit
+from roboxim_datasets.where import Edit, cell_of
 from roboxim_recorder import topics
 from roboxim_recorder.acted import ActedBy, acted_by, actor_of
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.export.where import cell_of
 from roboxim_ros.messages.conversions import from_msg
 
 
@@ -43,7 +42,7 @@ class Source:
     @property
     def cell(self) -> str:
         """Cell of the episode."""
-        return cell_of(self.info)
+        return cell_of(self.info.task)
 
     @property
     def episode_id(self) -> str:
