@@ -25,6 +25,7 @@ from roboxim_policies.learning.layers import TargetHead
 from roboxim_policies.learning.points import PointEncoder
 from roboxim_policies.learning.policy import LearnedPolicy
 from roboxim_policies.learning.samples import Samples
+from roboxim_policies.learning.supply import Supply
 from roboxim_policies.learning.train import Trainer, statistics
 from roboxim_policies.learning.validation import before_release, validate
 
@@ -68,6 +69,25 @@ def data(count: int = 24) -> Demonstrations:
         semantics=ActionSemantics(),
         robot="panda",
     )
+
+
+def test_trainings_of_one_seed_meet_the_samples_that_they_share_in_the_same_order():
+    rng = np.random.default_rng(0)
+    episodes = [episode(rng, ("red", "blue")[i % 2], steps=6 + i % 3) for i in range(12)]
+    facts = {"camera_sizes": {"workspace": (32, 32), "wrist": (16, 16)}, "semantics": ActionSemantics()}
+    one, other = assemble(episodes[:9], **facts), assemble([episodes[9], *episodes[5:9], *episodes[3:5]], **facts)
+    shared = set(one.keys) & set(other.keys)
+    assert len(shared) == sum(len(each.actions) for each in episodes[3:9]) < len(one)
+    for epoch in (0, 1):
+        orders = [data.keys[Supply(data, CONFIG)._order_of(epoch)] for data in (one, other)]
+        assert len(set(orders[0])) == len(one)
+        first, second = ([key for key in order if key in shared] for order in orders)
+        assert first == second
+        assert first != [key for key in one.keys if key in shared]
+    twice = assemble(episodes[:1] * 2, **facts)
+    assert len(set(twice.keys)) == len(twice)
+    later = Supply(one, CONFIG)._order_of(1), Supply(one, replace(CONFIG, seed=1))._order_of(0)
+    assert all((order != Supply(one, CONFIG)._order_of(0)).any() for order in later)
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,11 @@ from roboxim_core.plain_data.documents import parse_json
 from roboxim_core.proprioception import STATE_NAMES
 from roboxim_core.user_folders import expanded
 
-FORMAT = 6
+FORMAT = 7
 """1: proprioception with a quaternion, 8 numbers; 2: with ``state_layout``, see `roboxim_core.proprioception`; 3: the
 network with a memory of the grasp; 4: a grasp begins with the command to close; 5: the memory of a failed grasp; 6: the
-identity of a training includes every label and picture."""
-ACTING = (5, FORMAT)
+identity of a training includes every label and picture; 7: a sample's place in an epoch follows from the sample."""
+ACTING = (5, 6, FORMAT)
 """Formats whose policies act."""
 UNREADABLE = (
     OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error,

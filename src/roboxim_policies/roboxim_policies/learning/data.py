@@ -7,8 +7,10 @@ steps of the same demonstration.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -80,6 +82,8 @@ class Demonstrations:
     """Shape (N, 7)."""
     ends: Ints
     """For each step, the index of its episode's last step."""
+    keys: npt.NDArray[np.uint64]
+    """For each step, a random number that follows from its demonstration's content and its place in it alone."""
     grasps: Ints
     """For each step, the index of the first step of its latest grasp; `features.NONE`: none yet."""
     least_opening: Floats
@@ -171,6 +175,7 @@ def assemble(
         up=up_in_tool(proprio) if semantics.frame is ReferenceFrame.TOOL else np.tile(UP, (len(actions), 1)),
         actions=actions,
         ends=np.repeat(np.cumsum(lengths) - 1, lengths).astype(np.int32),
+        keys=_keys(kept),
         grasps=np.concatenate([np.where(g == NONE, NONE, g + at) for g, at in zip(grasps, firsts, strict=True)]),
         least_opening=np.concatenate(least_opening),
         released=np.concatenate(released),
@@ -187,6 +192,21 @@ def assemble(
         robot=robot,
         camera_views=dict(camera_views or {}),
     )
+
+
+def _keys(episodes: Iterable[Demonstration]) -> npt.NDArray[np.uint64]:
+    """Return `Demonstrations.keys`; a demonstration that occurs again has other ones each time."""
+    seen: Counter[bytes] = Counter()
+    keys = []
+    for episode in episodes:
+        content = hashlib.blake2b(episode.instruction.encode(), digest_size=16)
+        for array in (episode.proprio, episode.actions, *(images[0] for _, images in sorted(episode.images.items()))):
+            content.update(np.ascontiguousarray(array).data)
+        name = content.digest()
+        rng = np.random.default_rng([int.from_bytes(name, "little"), seen[name]])
+        seen[name] += 1
+        keys.append(rng.integers(0, 2**64, len(episode.actions), dtype=np.uint64))
+    return np.concatenate(keys)
 
 
 def _targets(proprio: Floats, actions: Floats) -> Floats:

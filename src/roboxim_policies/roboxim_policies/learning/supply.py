@@ -63,6 +63,7 @@ class Supply:
         self._data, self._config = data, config
         self._cameras = tuple(sorted(data.images))
         self._starts = data.starts
+        self._order: tuple[int, Indices] | None = None
         self._features: dict[str, Features] = {}
         if config.ENCODER:
             self._features = features_of(data.images, progress=progress)
@@ -106,12 +107,24 @@ class Supply:
         return self.windows_before(last) if self._config.frames > 1 else (last, None)
 
     def _shuffled(self, step: int) -> Indices:
-        """Return the sample indices of a step: consecutive slices of one shuffle per epoch."""
+        """Return the sample indices of a step: consecutive slices of one order per epoch."""
         batch = min(max(1, self._config.batch // self._config.frames), len(self._data))
-        per_epoch = len(self._data) // batch
-        epoch, piece = divmod(step, per_epoch)
-        rng = np.random.default_rng(np.random.SeedSequence(self._config.seed, spawn_key=(0, epoch)))
-        return rng.permutation(len(self._data))[piece * batch : (piece + 1) * batch]
+        epoch, piece = divmod(step, len(self._data) // batch)
+        if self._order is None or self._order[0] != epoch:
+            self._order = epoch, self._order_of(epoch)
+        return self._order[1][piece * batch : (piece + 1) * batch]
+
+    def _order_of(self, epoch: int) -> Indices:
+        """Return the random order of an epoch's samples.
+
+        A sample's place follows from the seed, the epoch and the sample alone, so that trainings of one seed on
+        demonstrations that differ in a part have those that they share in the same order (common random numbers).
+
+        Source:
+            Multiplicative hashing of the samples' keys: Dietzfelbinger et al., Journal of Algorithms 25 (1997).
+        """
+        seed = np.random.SeedSequence(self._config.seed, spawn_key=(0, epoch))
+        return np.argsort(self._data.keys * (seed.generate_state(1, np.uint64) | np.uint64(1)), kind="stable")
 
     def _worded(self, step: int, windows: int) -> dict[str, Any]:
         """Draw a wording for each window, and noise on its embedding."""
