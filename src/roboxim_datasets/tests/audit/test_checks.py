@@ -276,7 +276,22 @@ def test_clocks_with_a_late_tick() -> None:
     late[30] += 0.002
     assert found("clock", audited.episode(stamps=late)) == ("e0",)
     assert not found("clock", audited.episode(stamps=even))
+    hour = np.float32(3600 + even).astype(float)  # as LeRobot rounds them
+    assert not found("clock", audited.episode(stamps=hour))
     assert "stamps" in unchecked("clock", audited.episode())
+
+
+@pytest.mark.parametrize(
+    ("until", "change", "faulty"), [(50, lambda c: np.roll(c, 20), ()), (100, lambda c: 1 - c, ("e0",))]
+)
+def test_a_gripper_that_follows_within_half_a_second_is_not_inverted(until, change, faulty) -> None:
+    """At 50 Hz the fingers follow 0.4 s later; others do the opposite."""
+    values, command = audited.arrays(0, 100), np.ones(100, np.float32)
+    command[40:until] = 0.0
+    actions = np.column_stack([values["actions"][:, :6], command])
+    opening = change(command)[:, None]
+    made = audited.episode(fps=50.0, **(values | {"actions": actions, "gripper_opening": opening}))
+    assert found("gripper", made) == faulty
 
 
 def test_slow_cameras_are_not_frozen() -> None:

@@ -12,7 +12,7 @@ from roboxim_datasets.episode import Floats
 
 SLACK = 0.01
 MOVES = 0.1
-LAGS = 6
+LAG_S = 0.5
 STEADY = 0.02
 OPEN, SHUT = 0.9, 0.3
 
@@ -25,7 +25,7 @@ class Gripper(AuditCheck):
     reason = "Datasets and trainers disagree on the gripper's polarity; inverted, a policy opens where it must grasp."
     threshold = (
         f"a command more than {SLACK:g} outside of the declared range; or a correlation of command and measured "
-        "opening below 0 at every lag up to half a second"
+        f"opening below 0 at every lag up to {LAG_S:g} s"
     )
     needs = "the declared meaning of the actions; the measured opening for the polarity"
     order = 13
@@ -52,7 +52,7 @@ class Gripper(AuditCheck):
                 raise CannotCheckError("the range is right; the dataset has no measured opening for the polarity")
             return
         measured = episode.proprio["gripper_opening"][:, 0]
-        text = _inverted(command, measured)
+        text = _inverted(command, measured, lags=round(LAG_S * episode.rate_hz) + 1)
         if text:
             turn = int(np.abs(np.diff(command)).argmax()) if len(command) > 1 else 0
             yield Finding(
@@ -63,15 +63,15 @@ class Gripper(AuditCheck):
             )
 
 
-def _inverted(command: Floats, measured: Floats) -> str:
-    """Return how commands and measurements contradict each other; empty if they do not."""
+def _inverted(command: Floats, measured: Floats, lags: int) -> str:
+    """Return how commands and measurements contradict each other at each of the first lags; empty if they do not."""
     if np.ptp(command) > MOVES and np.ptp(measured) > MOVES:
-        lags = range(min(LAGS, len(command) - 3))
-        correlations = [_correlation(command[: len(command) - lag], measured[lag:]) for lag in lags]
+        pairs = [(command[: len(command) - lag], measured[lag:]) for lag in range(min(lags, len(command) - 3))]
+        correlations = [_correlation(first, second) for first, second in pairs]
         if correlations and max(correlations) < 0:
             return f"command and measured opening have the correlation {max(correlations):.2f}: the gripper is inverted"
         return ""
-    if len(command) > LAGS and np.ptp(command) <= STEADY and np.ptp(measured) <= STEADY:
+    if len(command) > lags and np.ptp(command) <= STEADY and np.ptp(measured) <= STEADY:
         wanted, there = float(command.mean()), float(measured.mean())
         if (wanted > OPEN and there < SHUT) or (wanted < 1 - OPEN and there > OPEN + STEADY):
             return f"the command is {wanted:.2f} throughout, the measured opening {there:.2f}: the gripper is inverted"

@@ -24,7 +24,10 @@ class Clock(AuditCheck):
 
     title = "The clock is uneven"
     reason = "Readers look images up by time: an uneven clock gives another tick's image, or an error in mid-training."
-    threshold = f"a distance between two stamps that differs from 1 / rate by more than {1000 * CLOCK_S:g} ms"
+    threshold = (
+        f"a distance between two stamps that differs from 1 / rate by more than {1000 * CLOCK_S:g} ms and the rounding "
+        "of stamps to float32, as LeRobot stores them"
+    )
     needs = "stamps, which bags and LeRobot datasets have"
     order = 16
 
@@ -34,7 +37,8 @@ class Clock(AuditCheck):
             raise CannotCheckError("the format stores no stamps")
         period = 1.0 / episode.rate_hz
         spacing = np.diff(episode.stamps_s)
-        wrong = np.flatnonzero(np.abs(spacing - period) > CLOCK_S)
+        rounding = np.spacing(np.abs(episode.stamps_s[1:]).astype(np.float32))
+        wrong = np.flatnonzero(np.abs(spacing - period) > CLOCK_S + rounding)
         if len(wrong):
             worst = int(wrong[np.abs(spacing[wrong] - period).argmax()])
             yield Finding(
