@@ -22,6 +22,7 @@ from roboxim_recorder.run_bags import list_bags
 from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
 from roboxim_runs.datasets.corruption import corrupt, fault_kinds
 from roboxim_runs.datasets.export import ExportConfig, Hdf5Config, export_dataset
+from roboxim_runs.datasets.rewriting import convert_dataset, split_dataset
 from roboxim_runs.episodes.reenactment import Recorded, Reenactor
 
 TASKS = Path(__file__).parents[1] / "config" / "tasks"
@@ -83,6 +84,31 @@ def test_an_hdf5_dataset_is_audited_like_the_others(demonstrations: Path, tmp_pa
     planted = corrupt(made.path, tmp_path / "copy", "rotation_jump", 0.34, seed=1)
     result = audit_dataset(planted.path, tmp_path / "report", AuditConfig(render=False)).result
     assert set(result.check("rotation_jump").faulty_episodes) == set(planted.planted)
+
+
+@pytest.mark.slow
+def test_what_was_left_out_or_edited_on_purpose_is_no_finding(demonstrations: Path, tmp_path: Path) -> None:
+    whole = export_bags("hdf5", demonstrations, tmp_path / "a", Hdf5Config(uneven=True, convention="bridge")).path
+    where = ["trim train/0 2..12", "relabel train/1 Touch it", "trim train/1 0..9", "split!=val"]
+    cut = convert_dataset(whole, tmp_path / "b", "hdf5", where=where).path
+    again = convert_dataset(cut, tmp_path / "c", "rlds", where=["trim train/0 1..5", "relabel train/1 Wave"]).path
+    facts = json.loads((again / "export.json").read_text())
+    assert facts["where"] == ["trim train/0 1..5", "relabel train/1 Wave"]
+    assert len(facts["edits"]) == 2
+    made = [whole, cut, again]
+    made += [one.path for one in split_dataset(whole, tmp_path / "d", {"train": 2, "val": 1}, apart=True).values()]
+    made.append(export_bags("hdf5", demonstrations, tmp_path / "e", Hdf5Config(uneven=True, split={"test": 2})).path)
+    config = AuditConfig(checks=("content", "wrong_instruction"), render=False)
+    for path in made:
+        for bags in ((demonstrations,), ()):
+            result = audit_dataset(path, config=replace(config, bags=bags)).result
+            assert [(check.name, finding.text) for check, finding in result.findings()] == []
+            assert bool(result.check("content").checked) == bool(bags)
+    facts = json.loads((made[-1] / "export.json").read_text())
+    facts["config"]["split"] = {"test": 3}
+    (made[-1] / "export.json").write_text(json.dumps(facts))
+    result = audit_dataset(made[-1], config=replace(config, bags=(demonstrations,))).result
+    assert len(result.check("content").findings) == 1  # the third episode is missing
 
 
 @pytest.mark.slow

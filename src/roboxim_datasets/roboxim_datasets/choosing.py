@@ -39,7 +39,8 @@ def chosen_plan(dataset: Dataset, texts: Iterable[str]) -> dict[str, list[Place]
             edit = choice.edit_of(facts["episode"])
             if edit is not None:
                 edit.require_within(int(facts["steps"][0]))
-                place = replace(place, change=partial(edited, edit=edit), changed=str(edit))
+                edit = replace(edit, episode=facts["episode"][0])
+                place = replace(place, change=partial(edited, edit=edit), changed=edit)
             found.setdefault(split, []).append(place)
     if not found:
         raise RecorderError(f"no episode of {dataset.path} meets the conditions; change them", ErrorCode.EXPORT_REFUSED)

@@ -24,7 +24,7 @@ EXPORT_FILE = "export.json"
 """File beside every dataset with the source and the settings of its export."""
 _FACTS: Mapping[str, type] = {
     "format": str, "how": str, "config": dict, "options": dict, "sources": list, "runs": list, "robots": list,
-    "cells": dict, "not_read": list,
+    "cells": dict, "not_read": list, "where": list, "edits": list,
 }  # fmt: skip
 SPLITS = ("train", "val", "test")
 """Splits that RoboXim writes, in this order."""
@@ -282,7 +282,7 @@ def _are_facts(found: object) -> bool:
     if not isinstance(found, dict) or any(not isinstance(found.get(key, kind()), kind) for key, kind in _FACTS.items()):
         return False
     names = [*found.get("runs", ()), *found.get("robots", ())]
-    groups = [*found.get("cells", {}).values(), *found.get("not_read", ())]
+    groups = [*found.get("cells", {}).values(), *found.get("not_read", ()), *found.get("edits", ())]
     texts, objects = all(isinstance(name, str) for name in names), all(isinstance(group, dict) for group in groups)
     return texts and objects and all(map(_are_facts, found.get("sources", ())))
 

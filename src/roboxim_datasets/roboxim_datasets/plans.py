@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from roboxim_core.errors import InvalidRequestError
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import Episode
+from roboxim_datasets.where import Edit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,8 +23,8 @@ class Place:
     """Its number in the split."""
     change: Callable[[Episode], Episode] = lambda episode: episode
     """Changes the episode after reading."""
-    changed: str = ""
-    """What the change is; empty: none."""
+    changed: Edit | None = None
+    """What the change is, with the episode's id if it has one; None: none."""
 
     def read(self) -> Episode:
         """Read the episode, with its change.

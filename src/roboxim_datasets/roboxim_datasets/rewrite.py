@@ -76,6 +76,7 @@ def write_dataset(
     how: str,
     keep_keys: bool = False,
     fps: float = 0.0,
+    where: Sequence[str] = (),
     overwrite: bool = False,
     progress: Progress = lambda done, total: None,
 ) -> Written:
@@ -89,6 +90,7 @@ def write_dataset(
         how: How it is made, e.g. ``convert``, for ``export.json``.
         keep_keys: Whether the images keep the keys that they have in the first dataset, which is of the same format.
         fps: Steps per second of sources that do not say it; 0: unknown.
+        where: Conditions and edits by which the plan was made, for ``export.json``.
         overwrite: Whether an existing dataset is replaced when the new one is whole.
         progress: Called with the episodes done and their total.
 
@@ -129,9 +131,11 @@ def write_dataset(
         if not card_path(path).is_file():  # the call that wrote it was interrupted
             write_card(there)
         return replace(written, changed=changed + _compressed(there, plan, copied))
+    edits = [to_plain(place.changed) for places in plan.values() for place in places if place.changed]
+    further = {"where": list(where), "edits": edits, "not_read": to_json(left_out)}
     files = files_beside(
         sources, format=format, how=how, options=settings, identity=identity,
-        **({"not_read": to_json(left_out)} if left_out else {}),
+        **{name: fact for name, fact in further.items() if fact},
     )  # fmt: skip
     with (
         only_build(path),

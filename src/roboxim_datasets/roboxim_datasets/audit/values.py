@@ -7,7 +7,7 @@ read once; images are read once more for their summaries, and never kept.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -173,6 +173,10 @@ class AuditEpisode:
     """The arm, if its joints are those of the state in the same order; none: unknown."""
     source: str = ""
     """Where to find it, e.g. its bag."""
+    relabelled: str = ""
+    """Instruction that the dataset says to have given it; empty: the recorded one."""
+    prompt: Callable[[str], str] = str
+    """Returns an instruction as the convention of the dataset's export words it."""
     expected: Episode | None = None
     """What it should be, value by value: an export of its bag, or the episode of another dataset; none: unknown."""
     no_expected: str = NO_EXPECTED

@@ -168,12 +168,21 @@ def test_an_object_that_no_camera_sees_on_the_way_to_it() -> None:
     assert not found("hidden_object", with_truth(sightings=seen(2)))
 
 
+def worded(instruction: str, relabelled: str = "") -> AuditEpisode:
+    """Return an episode of a dataset whose convention lowers case, and which says that it relabelled the episode."""
+    episode = audited.episode(instruction=instruction)
+    return AuditEpisode(name="e0", split="", episode=episode, relabelled=relabelled, prompt=str.lower)
+
+
 def test_instructions_that_the_episode_does_not_carry_out() -> None:
     wrong = with_truth(meaning=Meaning(ever=False, detail="the scene has no apple"))
     assert found("wrong_instruction", wrong, with_truth(name="e1")) == ("e0",)
     exported = audited.episode(instruction="Pick up the apple")
     assert found("wrong_instruction", exported, audited.episode()) == ("e0",)
     assert found("wrong_instruction", audited.episode(instruction=" ")) == ("e0",)
+    assert not found("wrong_instruction", worded("pick up the cube"), worded("Touch it", "Touch it"))
+    assert not found("wrong_instruction", worded("touch it", "Touch it"))
+    assert found("wrong_instruction", worded("pick up the cube", "Touch it")) == ("e0",)
 
 
 def test_objects_of_one_colour() -> None:

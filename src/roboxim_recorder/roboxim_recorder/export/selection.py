@@ -166,14 +166,10 @@ def choose(runs: Sequence[RunBags], selection: Selection) -> Chosen:
             )
     found: list[Source] = []
     for run in runs:
-        sources = [_source(path, run) for path in run.paths]
-        found += sorted(sources, key=lambda s: (s.info.purpose, s.info.run_seed, s.info.index, s.info.attempt))
+        found += in_order([_source(path, run) for path in run.paths])
     _require_unique(found)
     left_out: Counter[str] = Counter()
-    kept = _filtered(found, selection, left_out)
-    kept = _per_cell(kept, selection, left_out)
-    splits = _shard(_split(stating_actors(kept), selection, left_out), selection, left_out)
-    splits = _by_actor(splits, selection.acted_by, left_out)
+    splits = selected(found, selection, left_out)
     unexpected = tuple(bag for run in runs for bag in run.unexpected)
     left_out.update({"no_bag": len(missing), "no_result": len(unexpected)})
     return Chosen(
@@ -184,8 +180,33 @@ def choose(runs: Sequence[RunBags], selection: Selection) -> Chosen:
     )
 
 
+def in_order(sources: Sequence[Source]) -> list[Source]:
+    """Return the bags of one run in the order in which an export takes them."""
+    return sorted(sources, key=lambda s: (s.info.purpose, s.info.run_seed, s.info.index, s.info.attempt))
+
+
+def selected(
+    sources: Sequence[Source], selection: Selection, left_out: Counter[str]
+) -> dict[str, tuple[Source, ...]]:  # fmt: skip
+    """Return the bags of each split: those that pass every filter, edited and divided by actor.
+
+    Args:
+        sources: All bags, each run's `in_order`.
+        selection: The filters.
+        left_out: Reason to number of bags; those that are left out are added.
+
+    Raises:
+        InvalidRequestError: On a condition that no episode can meet.
+        RecorderError: ``EXPORT_REFUSED`` when none is left, cells have different numbers of episodes, or counts exceed
+            the episodes.
+    """
+    kept = _per_cell(_filtered(sources, selection, left_out), selection, left_out)
+    splits = _shard(_split(stating_actors(kept), selection, left_out), selection, left_out)
+    return _by_actor(splits, selection.acted_by, left_out)
+
+
 def exported_sources(sources: Sequence[Source], selection: Selection) -> tuple[Source, ...]:
-    """Return what an export makes of bags, trimmed, relabelled and divided by actor, before it draws splits.
+    """Return what an export makes of bags, trimmed, relabelled and divided by actor, whichever of them it counts off.
 
     Raises:
         InvalidRequestError: On a condition that no episode can meet.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -30,7 +30,8 @@ from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.export.episodes import bag_episode
 from roboxim_recorder.export.sources import Source
 from roboxim_recorder.run_bags import holds_bags, list_bags, run_bags
-from roboxim_runs.datasets.audit_expected import NO_BAG, Expected, expected_of_bags, expected_of_dataset
+from roboxim_runs.datasets.action_decoding import dataset_convention
+from roboxim_runs.datasets.audit_expected import NO_BAG, Expected, expected_of_bags, expected_of_dataset, relabels
 from roboxim_runs.datasets.audit_truth import BagTruth, TruthPorts
 from roboxim_runs.events import (
     OnEvent,
@@ -106,6 +107,8 @@ class _Entry:
     bag: Path | None = None
     no_bag: str = ""
     exact_images: bool = False
+    relabelled: str = ""
+    prompt: Callable[[str], str] = str
 
 
 def audit_dataset(
@@ -127,7 +130,8 @@ def audit_dataset(
 
     Raises:
         CancelledError: When the audit was cancelled.
-        ConfigError: When the path is neither bags nor a dataset, or a check is unknown.
+        ConfigError: When the path is neither bags nor a dataset, its convention or edits are not valid, or a check is
+            unknown.
         RecorderError: When the dataset's description is damaged, or the report cannot be written. An unreadable episode
             is reported; the others are audited.
     """
@@ -213,6 +217,8 @@ def _missing(expected: Expected) -> Iterator[Finding]:
 
 
 def _of_dataset(dataset: Dataset, count: int, bags: _Bags) -> Iterator[_Entry]:
+    words, convention = relabels(dataset), dataset_convention(dataset.folder)
+    prompt = convention.prompt.text if convention else str
     for number in range(count):
         split, index = dataset.place(number)
         name = f"{split}/{index}"
@@ -223,7 +229,10 @@ def _of_dataset(dataset: Dataset, count: int, bags: _Bags) -> Iterator[_Entry]:
             continue
         bag, why = bags.find(episode)
         exact = dataset.features.lossless
-        yield _Entry(name=name, split=split, episode=episode, bag=bag, no_bag=why, exact_images=exact)
+        yield _Entry(
+            name=name, split=split, episode=episode, bag=bag, no_bag=why, exact_images=exact,
+            relabelled=words(episode.episode_id), prompt=prompt,
+        )  # fmt: skip
 
 
 PART_OF = "it has the steps of one actor of {}, and ground truth needs all of them"
@@ -271,7 +280,10 @@ def _episode(entry: _Entry, ports: TruthPorts, expected: Expected | str) -> Audi
             raise RecorderError(entry.no_bag)
         source = Source(path=entry.bag, info=truth.info, result=truth.result)
         episode = bag_episode(source, truth.joint_names)
-    made = AuditEpisode(name=entry.name, split=entry.split, episode=episode, source=str(entry.bag or ""))
+    made = AuditEpisode(
+        name=entry.name, split=entry.split, episode=episode, source=str(entry.bag or ""), relabelled=entry.relabelled,
+        prompt=entry.prompt,
+    )  # fmt: skip
     made.no_truth = entry.no_bag or made.no_truth
     made.arm, made.exact_images = _arm(episode, ports), entry.exact_images
     if isinstance(expected, str):

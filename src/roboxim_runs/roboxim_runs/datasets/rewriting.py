@@ -61,7 +61,8 @@ def convert_dataset(
     opened = _opened(expanded(source), instruction, depth_unit_m)
     plan = chosen_plan(opened, where) if where else plan_of(opened)
     reporter = Reporter(on_event, cancellation)
-    return _write(plan, expanded(target), format, options, "convert", reporter, overwrite=overwrite, fps=fps)
+    more = {"overwrite": overwrite, "fps": fps, "where": where}
+    return _write(plan, expanded(target), format, options, "convert", reporter, **more)
 
 
 def _opened(source: Path, instruction: str, depth_unit_m: float) -> Dataset:

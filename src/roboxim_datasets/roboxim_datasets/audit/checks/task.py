@@ -84,9 +84,10 @@ class WrongInstruction(AuditCheck):
             if not episode.truth.meaning.ever:
                 text = f"'{instruction}' is true at no tick; {episode.truth.meaning.detail}"
         else:
-            recorded = _recorded_instruction(episode)
-            if recorded != instruction:
-                text = f"it is '{instruction}', the recorded task is '{recorded}'"
+            recorded = episode.relabelled or _recorded_instruction(episode)
+            if instruction not in (recorded, episode.prompt(recorded)):
+                what = "the instruction that it was given" if episode.relabelled else "the recorded task"
+                text = f"it is '{instruction}', {what} is '{episode.prompt(recorded)}'"
         if text:
             last = len(episode.episode) - 1
             yield Finding(text=text, episodes=(episode.name,), ticks=(0, last // 2, last))
