@@ -17,7 +17,7 @@ _PR_SET_PDEATHSIG = 1
 _MALLOPT = {"M_ARENA_MAX": (-8, 1), "M_MMAP_MAX": (-4, 0), "M_TRIM_THRESHOLD": (-1, 2**31 - 1)}
 """Options of glibc's ``malloc.h`` with their numbers and the values that make `keep_freed_memory`."""
 THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
-"""Environment variables with the number of threads of NumPy and OpenCV; a child gets 1 unless they are set."""
+"""Environment variables with the number of threads of NumPy and OpenCV; a worker gets 1 unless they are set."""
 
 
 __all__ = [
@@ -66,6 +66,7 @@ def spawn(
     ready: int | None = None,
     pass_fds: Sequence[int] = (),
     folder: str | None = None,
+    one_thread: bool = True,
 ) -> subprocess.Popen[bytes]:
     """Start ``python -m module arguments`` as a child that dies with the calling *thread*.
 
@@ -80,10 +81,11 @@ def spawn(
         inherited: Environment variables that it inherits; none: those of this process.
         pass_fds: File descriptors that it inherits.
         folder: Its working directory; none: this process's.
+        one_thread: Whether each library gets one thread unless its variable is set, see `THREAD_COUNTS`: where many
+            such children are the parallelism. False for programs of others.
     """
-    # One thread per library: the parallelism is in the processes.
     inherited = os.environ if inherited is None else inherited
-    defaults = {name: "1" for name in THREAD_COUNTS if name not in inherited}
+    defaults = {name: "1" for name in THREAD_COUNTS if one_thread and name not in inherited}
     if ready is not None:
         defaults["ROBOXIM_READY"] = str(ready)
     return subprocess.Popen(

@@ -385,6 +385,8 @@ class TrainerReports:
 def started(words: Sequence[str], log: IO[Any], reports: Path | None = None) -> subprocess.Popen[bytes]:
     """Start a training command that dies with this process; ``roboxim`` is the one of this environment.
 
+    It has as many threads as it has when a person starts it.
+
     Args:
         words: The command.
         log: Destination of its output.
@@ -397,7 +399,7 @@ def started(words: Sequence[str], log: IO[Any], reports: Path | None = None) -> 
     if shutil.which(words[0], path=path) is None:
         raise ConfigError(f"the training command cannot be started: {shlex.join(words)} (no such program)")
     environment = {"PATH": path} | ({} if reports is None else {VARIABLE: str(reports.absolute())})
-    return spawn("roboxim_runs.training.run_command", words, output=log, environment=environment)
+    return spawn("roboxim_runs.training.run_command", words, output=log, environment=environment, one_thread=False)
 
 
 def _end(processes: Sequence[subprocess.Popen[bytes]], end_s: float) -> None:

@@ -285,6 +285,15 @@ def test_a_script_may_be_the_trainer_of_roboxim(tmp_path):
     assert (tmp_path / "log").read_text().startswith("roboxim")
 
 
+def test_a_trainer_has_as_many_threads_as_outside_of_an_experiment(tmp_path, monkeypatch):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
+    words = ["sh", "-c", "echo ${OMP_NUM_THREADS:-unset} $OPENBLAS_NUM_THREADS"]
+    with (tmp_path / "log").open("wb") as log:
+        assert started(words, log).wait(60) == 0
+    assert (tmp_path / "log").read_text() == "unset 3\n"
+
+
 # ------------------------------------------------------------------ trainings as jobs of an executor
 
 
