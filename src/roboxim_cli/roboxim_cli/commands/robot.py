@@ -66,7 +66,7 @@ def new(source: Path, name: str, out: Path, **given: Any) -> None:
     if source.suffix in (".yaml", ".yml"):
         stated = click.get_current_context().get_parameter_source
         changes = {key: value for key, value in given.items() if stated(key) is not ParameterSource.DEFAULT}
-        recipe = replace(load_config(source, RobotRecipe), **({"name": name} if name else {}), **changes)
+        recipe = replace(load_config(source, RobotRecipe), **changes | ({"name": name} if name else {}))
     else:
         stem = source.name.split(".")[0].lower().replace("-", "_")
         recipe = RobotRecipe(name=name or stem, urdf=str(source.resolve()), source=source.name, **given)
