@@ -10,7 +10,7 @@ from roboxim_core.config import from_json
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
 from roboxim_core.specs import TaskSpec
 from roboxim_datasets.dataset import Dataset
-from roboxim_datasets.episode import Episode, Step, Wanted
+from roboxim_datasets.episode import Episode, Step, Wanted, with_words
 from roboxim_datasets.plans import Place, plan_of
 from roboxim_datasets.where import Choice, Edit, Fact, facts_of_task
 
@@ -85,13 +85,14 @@ def edited(episode: Episode, edit: Edit) -> Episode:
                 return
             if step.index >= first:
                 yield replace(
-                    step, index=step.index - first, instruction=None if words else step.instruction,
+                    step, index=step.index - first, instruction=words or episode.words(step),
                     subtask=None if words else step.subtask,
                 )  # fmt: skip
 
     cut = last < episode.length - 1
-    return replace(
-        episode, read=steps, length=last - first + 1, success=None if cut else episode.success,
-        instruction=words or episode.instruction, instructions=() if words else episode.instructions,
-        subtasks=() if words else episode.subtasks,
-    )  # fmt: skip
+    made = replace(episode, read=steps, length=last - first + 1, success=None if cut else episode.success)
+    if words:
+        return replace(made, instruction=words, instructions=(), subtasks=())
+    if not (episode.instructions or episode.subtasks):
+        return made
+    return with_words(made, [(episode.words(step), step.subtask) for step in steps(Wanted())])

@@ -10,7 +10,7 @@ are further values that no trainer reads; their names start with ``sim.``.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -297,6 +297,20 @@ class Episode:
                 )
         places = [at[name] for name in names]
         return lambda step: np.array([step.proprio[vector][index] for vector, index in places], np.float32)
+
+
+def with_words(episode: Episode, words: Sequence[tuple[str, str | None]]) -> Episode:
+    """Return an episode with the instructions and subtasks that its steps state.
+
+    Args:
+        episode: The episode.
+        words: Instruction and subtask of each step; a subtask of None: not stated.
+    """
+    instructions = tuple(dict.fromkeys(instruction for instruction, _ in words))
+    return replace(
+        episode, instruction=instructions[0], instructions=instructions if len(instructions) > 1 else (),
+        subtasks=tuple(dict.fromkeys(subtask for _, subtask in words if subtask is not None)),
+    )  # fmt: skip
 
 
 def whole_id(episode_id: str) -> str:

@@ -1,5 +1,6 @@
 """Episodes of a dataset are chosen, trimmed and relabelled while it is converted; the source stays."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -52,6 +53,25 @@ def test_edits_by_an_episode_s_id_and_place_add_up(tmp_path, write, episode_of):
     episode = chosen_plan(write(tmp_path / "a", [0, 1]), texts)["train"][1].read()
     assert episode.instruction == "Push it"
     assert np.array_equal(episode.actions(), episode_of(1).actions()[1:])
+
+
+def test_a_trim_keeps_the_words_of_the_steps_that_it_keeps(tmp_path, write, episode_of, description):
+    description = replace(description, features=replace(description.features, subtasks=True))
+    whole = episode_of(0, length=4)
+
+    def read(wanted):
+        for step in whole.read(wanted):
+            late = step.index > 1
+            yield replace(step, instruction=["Open it", "Close it"][late], subtask=["Reach", "Push"][late])
+
+    several = {"instruction": "Open it", "instructions": ("Open it", "Close it"), "subtasks": ("Reach", "Push")}
+    source = write(tmp_path / "a", [replace(whole, read=read, **several)], format="hdf5", description=description)
+    made = write_dataset(chosen_plan(source, ["trim demo-0 2..3"]), tmp_path / "b", "hdf5", how="convert")
+    episode = open_dataset(made.path).episode(0)
+    assert (episode.instruction, episode.instructions) == ("Close it", ())
+    assert [(episode.words(step), step.subtask) for step in episode.steps(())] == [("Close it", "Push")] * 2
+    [facts] = json.loads((made.path / "export.json").read_text()).get("edits")
+    assert facts["steps"] == [2, 3]
 
 
 def test_edits_of_one_episode_add_up():

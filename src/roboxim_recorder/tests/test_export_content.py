@@ -68,6 +68,15 @@ def test_a_lower_rate_recomposes_the_deltas(run, fake):
         exported(run, rate_hz=4)
 
 
+def test_an_episode_with_other_words_has_no_subtasks_of_the_recorded_task(run):
+    [source] = choose([run_bags(run)], Selection()).sources
+    task = replace(source.info.task, arguments={"step_1.instruction": "Reach", "step_2.instruction": "Lift"})
+    source = replace(source, info=replace(source.info, task=task))
+    for relabelled, subtasks in (("", ("Reach", "Lift")), ("Wave", ())):
+        given = replace(source, relabelled=relabelled)
+        assert exported_episode(given, content_of((given,), Selection())).subtasks == subtasks
+
+
 def test_actions_of_another_meaning(run, fake):
     words = "end_effector_absolute,rotation_6d,absolute_open_0_closed_1"
     episode = exported(run, actions=words)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import audited
@@ -12,6 +13,7 @@ from roboxim_core.errors import InvalidRequestError
 from roboxim_datasets.audit import AuditEpisode, Auditor, AuditResult
 from roboxim_datasets.audit.faults import DATASET_FAULTS, EditableEpisode, choose
 from roboxim_datasets.audit.faults.composed import Composed, compose
+from roboxim_datasets.episode import Step, Wanted
 
 COUNTS = {0.01: 100, 0.1: 20, 1.0: 10}
 """Share of the episodes in which a fault is planted, to the number of episodes."""
@@ -94,6 +96,26 @@ def test_an_edit_leaves_the_original_as_it_is(pool: list[AuditEpisode]) -> None:
     np.testing.assert_array_equal(before.actions, after.actions)
     for camera, images in before.images.items():
         np.testing.assert_array_equal(np.stack(images), np.stack(after.images[camera]))
+
+
+def test_an_edit_keeps_the_words_of_each_step_unless_it_relabels_them() -> None:
+    whole = audited.episode()
+
+    def read(wanted: Wanted) -> Iterator[Step]:
+        for step in whole.read(wanted):
+            late = step.index >= 40
+            yield replace(step, instruction="Lift it" if late else whole.instruction, subtask=f"step {late:d}")
+
+    copy = EditableEpisode.of(replace(whole, instructions=(whole.instruction, "Lift it"), read=read))
+    copy.take([38, 39, 40, 40])
+    made = copy.as_episode()
+    assert (made.instructions, made.subtasks) == ((whole.instruction, "Lift it"), ("step 0", "step 1"))
+    assert [made.words(step) for step in made.steps(())] == [whole.instruction] * 2 + ["Lift it"] * 2
+    assert [step.subtask for step in made.steps(())] == ["step 0"] * 2 + ["step 1"] * 2
+    copy.instruction = "Wave"
+    made = copy.as_episode()
+    assert (made.instruction, made.instructions, made.subtasks) == ("Wave", (), ())
+    assert {(made.words(step), step.subtask) for step in made.steps(())} == {("Wave", None)}
 
 
 def test_episodes_that_refuse_a_fault_are_replaced() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.registry import Registry
-from roboxim_datasets.episode import Episode, Floats, MetaValue, RGBImage, Step, Wanted
+from roboxim_datasets.episode import Episode, Floats, MetaValue, RGBImage, Step, Wanted, with_words
 
 
 @dataclass(kw_only=True, eq=False)
@@ -21,7 +21,9 @@ class EditableEpisode:
     episode: Episode
     """The episode that it was read from; its steps are not read again."""
     instruction: str
-    """Natural language instruction."""
+    """Natural language instruction; another one than the episode's replaces ``words``."""
+    words: list[tuple[str, str | None]]
+    """Instruction and subtask of each step; a subtask of None: not stated."""
     actions: Floats
     """Labels, shape (T, D)."""
     executed: Floats | None
@@ -48,6 +50,7 @@ class EditableEpisode:
         return EditableEpisode(
             episode=episode,
             instruction=episode.instruction,
+            words=[(episode.words(step), step.subtask) for step in steps],
             actions=np.stack([step.action for step in steps]),
             executed=_stacked([step.action_executed for step in steps]),
             proprio={name: np.stack([step.proprio[name] for step in steps]) for name in steps[0].proprio},
@@ -76,9 +79,12 @@ class EditableEpisode:
         self.proprio = {name: values[chosen] for name, values in self.proprio.items()}
         self.signals = {name: values[chosen] for name, values in self.signals.items()}
         self.images = {camera: [images[i] for i in chosen] for camera, images in self.images.items()}
+        self.words = [self.words[i] for i in chosen]
 
     def as_episode(self) -> Episode:
         """Return the edited episode, which stays in memory."""
+        relabelled = self.instruction != self.episode.instruction
+        words = [(self.instruction, None)] * len(self) if relabelled else self.words
 
         def read(wanted: Wanted) -> Iterator[Step]:
             for index in range(len(self)):
@@ -90,12 +96,14 @@ class EditableEpisode:
                     action_executed=None if self.executed is None else self.executed[index],
                     signals={name: values[index] for name, values in self.signals.items()},
                     reward=float(self.rewards[index]),
+                    instruction=words[index][0],
+                    subtask=words[index][1],
                 )
 
-        return replace(
-            self.episode, length=len(self), instruction=self.instruction, metadata=self.metadata, depth=(),
-            segmentation=(), read=read,
+        made = replace(
+            self.episode, length=len(self), metadata=self.metadata, depth=(), segmentation=(), read=read
         )  # fmt: skip
+        return with_words(made, words)
 
 
 def _stacked(rows: Sequence[Floats | None]) -> Floats | None:
