@@ -254,7 +254,7 @@ def test_a_pack_survives_the_loss_of_its_machine(tmp_path):
     assert card.verdicts[0].sentence in write_experiment_report(again, card).read_text()
     with pytest.raises(ConfigError, match="is not empty"):
         unpack(packed.path, tmp_path / "again")
-    with pytest.raises(ConfigError, match="exists; remove it"):
+    with pytest.raises(ConfigError, match="exists; remove it, or name another file with --out"):
         pack(folder.path, packed.path)
 
 
