@@ -30,6 +30,11 @@ RESERVED_NAMES = ("robot", "table", "tcp", "world", "floor", "wall", "pedestal")
 """Names of bodies and frames that every scene has; no entity may have one of them."""
 
 
+def optical_frame(camera: str) -> str:
+    """Return the name of a camera's optical frame, the frame of its images."""
+    return f"{camera}_optical"
+
+
 def _hash(spec: Any) -> int:
     """Hash a spec that has mappings as fields, by value."""
     values = (getattr(spec, field.name) for field in fields(spec))

@@ -19,7 +19,7 @@ from roboxim_core import limits
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Pose
-from roboxim_core.specs import CameraSpec, Scalar
+from roboxim_core.specs import CameraSpec, Scalar, optical_frame
 from roboxim_core.state import EntityState, StateRecord
 from roboxim_core.vision.renderer import CameraImages
 from roboxim_ros.messages.conversions import fill_image, fill_pose, fill_stamp
@@ -203,11 +203,6 @@ def _intrinsics(camera: CameraSpec) -> tuple[bytes, int]:
 def camera_kind(topic: str) -> Any:
     """Return the message type of a camera's topic, by `camera_msgs`' last part of the topic's name."""
     return CameraInfo if topic.endswith("/camera_info") else Image
-
-
-def optical_frame(camera: str) -> str:
-    """Return the name of a camera's optical frame, the frame of its images."""
-    return f"{camera}_optical"
 
 
 def entity_state_msg(stamp_ns: int, entity: EntityState) -> StandardEntityState:

@@ -21,7 +21,7 @@ from roboxim_core.models.description import RobotModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses
 from roboxim_core.poses import Pose
-from roboxim_core.specs import RESERVED_NAMES, SceneSpec
+from roboxim_core.specs import RESERVED_NAMES, SceneSpec, optical_frame
 from roboxim_core.state import StateRecord
 from roboxim_sim.bodies import ObjectBody
 from roboxim_sim.physics import Physics
@@ -132,13 +132,12 @@ class EpisodeWorld:
 
     @property
     def reserved_names(self) -> tuple[str, ...]:
-        """Names that no entity may have: those of every scene's frames and bodies, and of the robot's links.
+        """Names that no entity may have: those of every scene's frames and bodies, the robot's links, the cameras.
 
         Raises:
             SimError: With code ``NO_SCENE`` when nothing is loaded.
         """
-        _ = self.scene
-        return _reserved_names(self._controller.arm)
+        return _reserved_names(self.scene, self._controller.arm)
 
     def require_entity(self, name: str) -> None:
         """Check that the scene has an entity of this name.
@@ -188,7 +187,7 @@ class EpisodeWorld:
         Raises:
             ConfigError: When a model, modifier or camera parent is unknown; the old world then remains.
             InvalidRequestError: When the robot's start is beyond its limits, or an entity has the name of one of its
-                links; the old world then remains.
+                links or of a camera's frame; the old world then remains.
             EvaluationError: With code ``SEMANTICS_MISMATCH`` when the simulator does not execute these semantics; the
                 old world then remains. After any other error no scene is loaded.
         """
@@ -201,7 +200,7 @@ class EpisodeWorld:
         models = {entity.name: self.library.entity_model(entity) for entity in scene.entities}
         ScenePoses(scene, self.library, arm)
         for name in models:
-            limits.require_name("entity", name, _reserved_names(arm))
+            limits.require_name("entity", name, _reserved_names(scene, arm))
         self.unload()  # until the new world is complete
 
         self.physics.build(scene, model, joints, models)
@@ -328,8 +327,9 @@ class EpisodeWorld:
         raise SimError(f"no entity '{name}' in the scene; {one_of(names, name)}", ErrorCode.UNKNOWN_ENTITY)
 
 
-def _reserved_names(arm: ArmKinematics) -> tuple[str, ...]:
-    return (*RESERVED_NAMES, f"{arm.model.id}_base", *arm.link_names)
+def _reserved_names(scene: SceneSpec, arm: ArmKinematics) -> tuple[str, ...]:
+    frames = [optical_frame(camera.name) for camera in scene.cameras]
+    return (*RESERVED_NAMES, f"{arm.model.id}_base", *arm.link_names, *frames)
 
 
 def _executable(semantics: ActionSemantics | None, scene: SceneSpec) -> ActionSemantics:

@@ -123,6 +123,14 @@ class StandardServices:
 
     def _spawn(self, request: Any, response: Any) -> None:
         taken = {entity.name for entity in self._world.scene.entities}
+        if request.entity_namespace:
+            response.result.result = response.NAMESPACE_INVALID
+            response.result.error_message = "entities have no ROS interfaces of their own; leave entity_namespace empty"
+            return
+        if request.entity_resource.resource_string and not request.entity_resource.uri:
+            response.result.result = response.UNSUPPORTED_FORMAT
+            response.result.error_message = "resource_string is not read; give a uri, e.g. cube or roboxim://cube"
+            return
         code = response.NO_RESOURCE  # if the next step fails
         try:
             model, modifiers = model_of_uri(request.entity_resource.uri)

@@ -18,7 +18,7 @@ from visualization_msgs.msg import MarkerArray
 from roboxim_core.models.description import RobotModel
 from roboxim_core.models.visuals import ScenePoses
 from roboxim_core.poses import Pose
-from roboxim_core.specs import SceneSpec
+from roboxim_core.specs import SceneSpec, optical_frame
 from roboxim_core.state import StateRecord
 from roboxim_core.vision.renderer import CameraImages
 from roboxim_ros.messages.serialising import to_cdr
@@ -27,7 +27,6 @@ from roboxim_sim.conversions import (
     camera_cdrs,
     clock_cdr,
     joint_state_cdr,
-    optical_frame,
     text_cdr,
     tf_cdr,
 )

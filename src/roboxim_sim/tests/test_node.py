@@ -388,6 +388,10 @@ def test_standard_services(clients: Clients) -> None:
     refused = clients.call(SpawnEntity, "sim/spawn_entity", spawn).result
     assert refused.result == SpawnEntity.Response.NO_RESOURCE
     assert "did you mean 'apple'" in refused.error_message
+    spawn.entity_namespace = "mine"
+    assert clients.call(SpawnEntity, "sim/spawn_entity", spawn).result.result == SpawnEntity.Response.NAMESPACE_INVALID
+    spawn.entity_namespace, spawn.entity_resource = "", Resource(resource_string="<robot/>")
+    assert clients.call(SpawnEntity, "sim/spawn_entity", spawn).result.result == SpawnEntity.Response.UNSUPPORTED_FORMAT
     spawn.entity_resource.uri = "cube"
     for frame, x, name, code in (
         ("panda_base", 0.4, "x", SpawnEntity.Response.INVALID_POSE),

@@ -261,8 +261,11 @@ def test_rejected_requests_do_not_change_the_world(world: World) -> None:
     for scene in (bad_model, bad_camera):
         with pytest.raises(ConfigError):
             world.load(scene)
-    with pytest.raises(InvalidRequestError, match="'panda_hand' is reserved"):
-        world.load(SceneSpec(entities=(EntitySpec(name="panda_hand", model="cube"),)))
+    for name in ("panda_hand", "workspace_optical"):
+        with pytest.raises(InvalidRequestError, match=f"'{name}' is reserved"):
+            world.load(
+                SceneSpec(entities=(EntitySpec(name=name, model="cube"),), cameras=(CameraSpec(name="workspace"),))
+            )
     assert (
         _code(lambda: world.load(SceneSpec(robot=RobotSpec(joint_positions=(3.0,) * 7))))
         == ErrorCode.START_OUTSIDE_LIMITS

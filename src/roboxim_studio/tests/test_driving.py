@@ -1,5 +1,6 @@
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from roboxim_recorder.replay import replay
 from roboxim_studio.acting.drive import Drive, next_index
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.acting.steering import Speeds, Steering, action_of, moves, offset_words
+from roboxim_studio.acting.take import FilmRecorder
 from roboxim_studio.browser import wait_for
 from roboxim_studio.editing import document as edits
 from roboxim_studio.episode.film import read_film
@@ -89,6 +91,18 @@ def test_an_episode_that_is_cut_off_is_set_apart_and_whole(lab, bag, tmp_path):
     assert check_bag(tmp_path / path).ok
     assert BagReader(tmp_path / path).result.reason == "interrupted"
     assert next_index(tmp_path, SEED) == 1
+
+
+def test_the_result_of_an_interrupted_episode_counts_no_settling(bag):
+    film = read_film(bag)
+    sim = SimpleNamespace(world=SimpleNamespace(record=None), images={})
+    recorder = FilmRecorder(sim)
+    recorder.open(film.info)
+    for sim.world.record, step in zip(film.states, film.steps, strict=True):
+        recorder.step(step)
+    recorder.abort()
+    assert (recorder.film.result.steps, recorder.film.result.last_seq) == (film.result.steps, film.result.last_seq)
+    assert film.result.last_seq > film.result.steps
 
 
 def test_two_studios_do_not_drive_into_one_folder_at_once(lab, bag, tmp_path):

@@ -20,7 +20,6 @@ from roboxim_core.episode.runner import Play
 from roboxim_core.errors import ErrorCode, TaskError
 from roboxim_core.seeds import SeedPath
 from roboxim_core.state import StateRecord
-from roboxim_core.verdicts import Verdict
 from roboxim_runs.answers.trying import episode_loop
 from roboxim_studio.episode.film import Film, Pictures
 
@@ -79,7 +78,7 @@ class FilmRecorder:
         if self._bags:
             self._bags.abort()
         if self.info is not None and self._states:
-            self._finish(interrupted(self.info, self._states[-1], self._steps[-1].verdict))
+            self._finish(interrupted(self.info, self._states[-1], self._steps))
 
     def set_apart(self) -> str:
         """Close an episode that was not played to its end, and set its bag apart.
@@ -89,7 +88,7 @@ class FilmRecorder:
         """
         if self.info is None or not self._states:
             return ""
-        return self.close(interrupted(self.info, self._states[-1], self._steps[-1].verdict), "set_apart")
+        return self.close(interrupted(self.info, self._states[-1], self._steps), "set_apart")
 
     def _finish(self, result: EpisodeResult) -> None:
         assert self.info is not None
@@ -105,12 +104,14 @@ INTERRUPTED = "interrupted"
 """Reason of an episode that was not played to its end."""
 
 
-def interrupted(info: EpisodeInfo, state: StateRecord, verdict: Verdict) -> EpisodeResult:
-    """Return the result of an episode that ended before it was judged."""
+def interrupted(info: EpisodeInfo, state: StateRecord, steps: Sequence[EpisodeStep]) -> EpisodeResult:
+    """Return the result of an episode that ended before it was judged, in a state, after all of its steps."""
+    verdict = steps[-1].verdict
     return EpisodeResult(
         episode_id=info.episode_id, index=info.index, attempt=info.attempt, outcome="failure", reason=INTERRUPTED,
-        message="the studio was closed, or the episode was stopped", steps=state.seq, last_seq=state.seq,
-        success_ever=verdict.success_ever, verdict=verdict, instruction=info.task.instruction, skill=info.task.skill,
+        message="the studio was closed, or the episode was stopped", last_seq=state.seq,
+        steps=sum(step.phase == "act" for step in steps), success_ever=verdict.success_ever,
+        verdict=verdict, instruction=info.task.instruction, skill=info.task.skill,
         final_state_hash=state.state_hash,
     )  # fmt: skip
 
