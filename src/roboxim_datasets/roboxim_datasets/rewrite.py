@@ -132,7 +132,7 @@ def write_dataset(
             write_card(there)
         return replace(written, changed=changed + _compressed(there, plan, copied))
     edits = [to_plain(place.changed) for places in plan.values() for place in places if place.changed]
-    further = {"where": list(where), "edits": edits, "not_read": to_json(left_out)}
+    further: dict[str, list[Any]] = {"where": list(where), "edits": edits, "not_read": to_json(left_out)}
     files = files_beside(
         sources, format=format, how=how, options=settings, identity=identity,
         **{name: fact for name, fact in further.items() if fact},

@@ -218,7 +218,7 @@ def _missing(expected: Expected) -> Iterator[Finding]:
 
 def _of_dataset(dataset: Dataset, count: int, bags: _Bags) -> Iterator[_Entry]:
     words, convention = relabels(dataset), dataset_convention(dataset.folder)
-    prompt = convention.prompt.text if convention else str
+    prompt: Callable[[str], str] = convention.prompt.text if convention else str
     for number in range(count):
         split, index = dataset.place(number)
         name = f"{split}/{index}"

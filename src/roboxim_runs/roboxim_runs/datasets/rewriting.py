@@ -61,7 +61,7 @@ def convert_dataset(
     opened = _opened(expanded(source), instruction, depth_unit_m)
     plan = chosen_plan(opened, where) if where else plan_of(opened)
     reporter = Reporter(on_event, cancellation)
-    more = {"overwrite": overwrite, "fps": fps, "where": where}
+    more: dict[str, Any] = {"overwrite": overwrite, "fps": fps, "where": where}
     return _write(plan, expanded(target), format, options, "convert", reporter, **more)
 
 
