@@ -22,7 +22,7 @@ from roboxim_recorder.run_bags import list_bags
 from roboxim_runs.datasets.audit import AuditConfig, audit_dataset
 from roboxim_runs.datasets.corruption import corrupt, fault_kinds
 from roboxim_runs.datasets.export import ExportConfig, Hdf5Config, export_dataset
-from roboxim_runs.datasets.rewriting import convert_dataset, split_dataset
+from roboxim_runs.datasets.rewriting import convert_dataset, merge_datasets, split_dataset
 from roboxim_runs.episodes.reenactment import Recorded, Reenactor
 
 TASKS = Path(__file__).parents[1] / "config" / "tasks"
@@ -98,6 +98,9 @@ def test_what_was_left_out_or_edited_on_purpose_is_no_finding(demonstrations: Pa
     made = [whole, cut, again]
     made += [one.path for one in split_dataset(whole, tmp_path / "d", {"train": 2, "val": 1}, apart=True).values()]
     made.append(export_bags("hdf5", demonstrations, tmp_path / "e", Hdf5Config(uneven=True, split={"test": 2})).path)
+    sharded = [Hdf5Config(uneven=True, val_fraction=0, shard=f"{number}/2") for number in (1, 2)]
+    shards = [export_bags("hdf5", demonstrations, tmp_path / one.shard[0], one).path for one in sharded]
+    made[-1:-1] = [shards[0], merge_datasets(shards, tmp_path / "f").path]
     config = AuditConfig(checks=("content", "wrong_instruction"), render=False)
     for path in made:
         for bags in ((demonstrations,), ()):
