@@ -76,7 +76,7 @@ def verify_motion(
     """
     times = np.append(np.arange(0.0, motion.duration, LIMIT_PERIOD_S), motion.duration)
     q, v, a, j = motion.evaluate(times)
-    violations = _limit_violations(robot, times, q, limits, velocities=v, accelerations=a, jerks=j)
+    violations = _limit_violations(robot, q, limits, velocities=v, accelerations=a, jerks=j)
     if goal is not None and float(np.abs(q[-1] - goal).max()) > 1e-6:
         violations += (f"the motion ends {np.abs(q[-1] - goal).max():.2g} rad from its goal",)
     if float(np.abs(v[[0, -1]]).max()) > 1e-6:
@@ -140,7 +140,7 @@ def verify_samples(
         velocities = np.diff(positions, axis=0) / np.diff(times)[:, None]
         velocities = np.concatenate([velocities, velocities[-1:]])  # of the line after each point
     violations = _limit_violations(
-        robot, times, positions, limits, velocities=velocities, accelerations=accelerations, jerks=None
+        robot, positions, limits, velocities=velocities, accelerations=accelerations, jerks=None
     )
     first = _first_beyond(robot, positions, limits, velocities, accelerations, None) if violations else -1
     hit = _first_hit(sweep.exact, positions, watch)
@@ -188,7 +188,6 @@ def between(path: Array, place: float) -> Array:
 
 def _limit_violations(
     robot: PlannerRobot,
-    times: Array | None,
     positions: Array,
     limits: MotionLimits,
     *,

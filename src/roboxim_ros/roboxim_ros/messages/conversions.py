@@ -323,10 +323,12 @@ def image_from_msg(msg: Any) -> npt.NDArray[Any]:
         ) from None
     dtype = np.dtype(scalar)
     size = int(msg.height) * int(msg.width) * channels * dtype.itemsize
-    if not size or len(msg.data) != size:
+    if not size:
+        raise InvalidRequestError(f"an image of {msg.width}x{msg.height} has no pixels")
+    if len(msg.data) != size:
         raise InvalidRequestError(
-            f"an image of {msg.width}x{msg.height} {msg.encoding} has {len(msg.data)} bytes, expected "
-            f"{size or 'some'}, without padding of its rows"
+            f"an image of {msg.width}x{msg.height} {msg.encoding} has {len(msg.data)} bytes, expected {size}: rows "
+            "must have no padding"
         )
     stored = np.frombuffer(msg.data, dtype.newbyteorder(">" if msg.is_bigendian else "<"))
     image = stored.astype(dtype, copy=False)

@@ -65,7 +65,7 @@ def test_images_of_both_byte_orders_are_read(encoding, order):
 
 @pytest.mark.parametrize(("height", "data"), [(2, bytes(7)), (2, bytes(10)), (2, b""), (0, b""), (2**32 - 1, bytes(8))])
 def test_an_image_whose_size_does_not_fit_its_data_is_refused(height, data):
-    with pytest.raises(InvalidRequestError, match=f"has {len(data)} bytes"):
+    with pytest.raises(InvalidRequestError, match=f"has {len(data)} bytes" if height else "no pixels"):
         image_from_msg(Image(height=height, width=2, encoding="16UC1", data=data))
 
 
