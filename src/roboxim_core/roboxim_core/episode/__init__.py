@@ -10,7 +10,7 @@ fails the episode with a reason; a fault of the simulator or the recorder is rai
 
 from roboxim_core.episode.ports import ActorPort, JudgePort, Ports, RecorderPort, ScenePort, SimPort
 from roboxim_core.episode.records import KEEP_RULES, Draw, EpisodeInfo, EpisodeResult, EpisodeStep, RunConfig
-from roboxim_core.episode.runner import EpisodeRunner, configure_scene, episode_id
+from roboxim_core.episode.runner import EpisodeRunner, configure_scene, episode_id, executed_semantics
 
 __all__ = [
     "KEEP_RULES",
@@ -28,4 +28,5 @@ __all__ = [
     "SimPort",
     "configure_scene",
     "episode_id",
+    "executed_semantics",
 ]

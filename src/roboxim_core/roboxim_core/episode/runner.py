@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from roboxim_core.actions import ActionArray, LateRows
+from roboxim_core.actions import ActionArray, ActionSemantics, LateRows
 from roboxim_core.config import to_json
 from roboxim_core.episode.acting import Acting, TickAction, holding_action
 from roboxim_core.episode.ports import ActorPort, Ports
@@ -78,6 +78,23 @@ def configure_scene(scene: SceneSpec, config: RunConfig, description: PolicyDesc
         cameras=tuple(sized(have[name]) for name in names),
         control_rate_hz=config.rate_hz or description.semantics.rate_hz or scene.control_rate_hz,
     )
+
+
+def executed_semantics(scene: SceneSpec, description: PolicyDescription) -> ActionSemantics:
+    """Return the meaning in which the simulator executes a policy's actions.
+
+    Args:
+        scene: The scene as `configure_scene` returns it.
+        description: The policy's description.
+
+    Raises:
+        InvalidRequestError: When the policy states another rate than the scene has.
+    """
+    declared = description.semantics
+    declared.require_compatible(
+        replace(declared, rate_hz=scene.control_rate_hz), owner=f"policy '{description.name}'", other_owner="the run"
+    )
+    return declared.executed(scene.control_rate_hz)
 
 
 def _require_consistent(description: PolicyDescription, config: RunConfig) -> None:
@@ -218,13 +235,7 @@ class EpisodeRunner:
                 raise
             return _infeasible(seed, str(error))
         scene = configure_scene(draw.scene, self.config, self.description)
-        declared = self.description.semantics
-        semantics = declared.executed(scene.control_rate_hz)
-        declared.require_compatible(
-            replace(declared, rate_hz=scene.control_rate_hz),
-            owner=f"policy '{self.description.name}'",
-            other_owner="the run",
-        )
+        semantics = executed_semantics(scene, self.description)
         info = EpisodeInfo(
             episode_id=episode_id(seed), run_seed=seed.run_seed, purpose=seed.purpose, index=seed.index,
             attempt=seed.attempt, task=draw.task, scene=scene, semantics=semantics, actor=self.description.name,

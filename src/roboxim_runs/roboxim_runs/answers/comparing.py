@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from roboxim_core.config import to_plain
-from roboxim_core.episode import ActorPort, Draw, RunConfig
+from roboxim_core.episode import ActorPort, Draw, RunConfig, configure_scene, executed_semantics
 from roboxim_core.errors import ConfigError, ErrorCode, SimError, TaskError
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.seeds import SeedPath
@@ -45,13 +45,18 @@ def compare(
 
     Raises:
         ConfigError: When the policies' actions are executed with different meanings, limits or rates.
+        InvalidRequestError: When a policy does not fit the scenes' cameras or rate.
         PolicyError: When a policy raises.
         RoboximError: When a scene cannot be drawn or breaks a constraint, or on a fault of the simulator.
     """
-    found = []
+    drawn: list[tuple[SeedPath, Draw]] = []
     for number in range(config.scenes):
+        on_part(number, "the scene is drawn")
         seed = SeedPath(run_seed=config.seed, purpose="eval", index=number)
-        draw = bench.graph.tasks.draw(seed, config.task_config)
+        drawn.append((seed, bench.graph.tasks.draw(seed, config.task_config)))
+        _require_same_execution(drawn[-1][1], config.run, first, second)
+    found = []
+    for seed, draw in drawn:
         one = _Scene(bench, draw, seed, config.run, on_part).compared(first, second)
         found.append(one)
         on_scene(one)
@@ -66,7 +71,6 @@ class _Scene:
 
     def compared(self, first: ActorPort, second: ActorPort) -> SceneComparison:
         one, two = (self._alone(name, actor) for name, actor in (("first", first), ("second", second)))
-        _require_same_execution(one, two)
         parted = diverging(one, two)
         outcome = (one.success, two.success)
         result = SceneComparison(scene=self._seed.index, outcome=outcome, diverge_at=parted)
@@ -109,11 +113,10 @@ class _Scene:
         return after.success
 
 
-def _require_same_execution(one: Try, two: Try) -> None:
-    """Refuse policies of which one cannot repeat the executed actions of the other."""
-    assert one.info is not None
-    assert two.info is not None
-    first, second = to_plain(one.info.semantics), to_plain(two.info.semantics)
+def _require_same_execution(draw: Draw, run: RunConfig, *actors: ActorPort) -> None:
+    """Refuse two policies of which one cannot repeat the executed actions of the other."""
+    described = [actor.describe() for actor in actors]
+    first, second = (to_plain(executed_semantics(configure_scene(draw.scene, run, one), one)) for one in described)
     if first != second:
         words = ("of the first", "of the second")
         raise ConfigError(

@@ -97,8 +97,10 @@ def test_policies_that_are_executed_at_other_rates_are_refused(bench):
     config = CompareRun(task_config=task_text("pick_cube"), scenes=1, run=replace(IMAGES, max_steps=2))
     slow = CoreActor(Defective())
     slow.describe = lambda: PolicyDescription(name="slow", semantics=ActionSemantics(rate_hz=5.0), privileged=True)
+    before = bench.runs
     with pytest.raises(ConfigError, match=r"rate_hz: 10.0 of the first, 5.0 of the second"):
         compare(bench, bench.expert, slow, config)
+    assert bench.runs == before  # no episode was run for it
 
 
 def test_bisection_and_summary():
