@@ -74,7 +74,9 @@ def test_an_episode_with_other_words_has_no_subtasks_of_the_recorded_task(run):
     source = replace(source, info=replace(source.info, task=task))
     for relabelled, subtasks in (("", ("Reach", "Lift")), ("Wave", ())):
         given = replace(source, relabelled=relabelled)
-        assert exported_episode(given, content_of((given,), Selection())).subtasks == subtasks
+        content = content_of((given,), Selection())
+        assert exported_episode(given, content).subtasks == subtasks
+        assert content.describe((given,)).features.subtasks == bool(subtasks)
 
 
 def test_actions_of_another_meaning(run, fake):

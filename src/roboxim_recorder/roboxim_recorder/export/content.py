@@ -180,7 +180,7 @@ class Content:
             features=Features(
                 cameras=self.sizes, keys=self.keys, depth=self.depth, segmentation=self.segmentation, action=action,
                 vectors=self.names, signals={EXECUTED: action, **_signals(sources)},
-                subtasks=any(source.info.task.step_words for source in sources),
+                subtasks=any(source.step_words for source in sources),
             ),
             fps=self.convention.rate_hz,
             robot=BETWEEN_ROBOTS.join(self.robots),

@@ -87,7 +87,7 @@ def exported_episode(source: Source, content: Content) -> Episode:
     """
     length = -(-source.steps // content.every)
     description = content.describe((source,))
-    words = () if source.relabelled else tuple(map(content.instruction, source.info.task.step_words))
+    words = tuple(map(content.instruction, source.step_words))
 
     def read(wanted: Wanted) -> Iterator[Step]:
         converted = _converted(source, content) if content.converts else None

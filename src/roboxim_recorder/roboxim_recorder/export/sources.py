@@ -55,6 +55,11 @@ class Source:
         return self.relabelled or self.info.task.instruction
 
     @property
+    def step_words(self) -> tuple[str, ...]:
+        """Words of the task's steps in the dataset; empty: it has one step, or other words than the recorded ones."""
+        return () if self.relabelled else self.info.task.step_words
+
+    @property
     def first(self) -> int:
         """First step to export."""
         return self.part[0] if self.part else 0

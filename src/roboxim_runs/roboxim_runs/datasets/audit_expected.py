@@ -6,21 +6,20 @@ The export's own code makes the expected values, in memory, with the settings th
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from roboxim_core.config import from_plain
-from roboxim_core.errors import ConfigError, RoboximError
+from roboxim_core.errors import RoboximError
 from roboxim_datasets.choosing import edited
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import Episode, whole_id
 from roboxim_datasets.where import Choice, Edit
 from roboxim_recorder.acted import is_shared
 from roboxim_recorder.bag import BagReader
-from roboxim_recorder.export.content import content_of
+from roboxim_recorder.export.content import Content, content_of
 from roboxim_recorder.export.convention_file import CONVENTION_FILE
 from roboxim_recorder.export.episodes import exported_episode
 from roboxim_recorder.export.registry import EXPORTERS
@@ -53,37 +52,57 @@ def expected_of_bags(dataset: Dataset, bags: Mapping[str, list[Path]]) -> Expect
         dataset: The audited dataset.
         bags: Episode id to its bags.
     """
-    config = _settings(dataset)
-    if config is None:
+    configs = _settings(dataset)
+    if not configs:
         return NO_SETTINGS
-    sources: dict[str, Source] = {}
-    for name, paths in bags.items():
-        for path in paths:
-            reader = BagReader(path)
-            made = Source(path=path, info=reader.info, result=reader.result, shared=is_shared(reader))
-            sources.setdefault(name, made)
+    sources = _sources(path for paths in bags.values() for path in paths)
     if not sources:
         return NO_BAG
     try:
-        exported = {source.episode_id: source for source in exported_sources(list(sources.values()), config)}
-        content = content_of(list(exported.values()), config)
+        exports = [_made(sources, config) for config in configs]
         edits = list(_edits(dataset.facts))
     except RoboximError as error:
         return f"its bags cannot be exported with the settings of its export.json: {error}"
 
-    whole = {source.info.episode_id: source for source in sources.values()}
-
     def find(episode: Episode, name: str) -> Episode | None:
-        source = exported.get(episode.episode_id) or whole.get(episode.episode_id)
-        if source is None:
-            return None
-        made = exported_episode(source, content)
-        for edit in edits:
-            made = edited(made, edit) if edit.episode == made.episode_id else made
-        return made
+        """Return what an export gives; of several, the one that fits in length and words."""
+        alike = [one for exported in exports for one in _of(episode, exported)]
+        made = []
+        for source, content in alike or _of(episode, [(source, exports[0][0][1]) for source in sources]):
+            made.append(exported_episode(source, content))
+            for edit in edits:
+                made[-1] = edited(made[-1], edit) if edit.episode == made[-1].episode_id else made[-1]
+        fits = (one for one in made if (len(one), one.instruction) == (len(episode), episode.instruction))
+        return next(fits, made[0] if made else None)
 
-    lossless, unclaimed = dataset.features.lossless, _selected(dataset, list(sources.values()), config)
+    lossless, unclaimed = dataset.features.lossless, _selected(dataset, sources, configs[0])
     return Expected(find=find, missing=NO_BAG, lossless=lossless, unclaimed=unclaimed)
+
+
+def _sources(paths: Iterable[Path]) -> list[Source]:
+    """Return bags, each episode once, however many bags hold it."""
+    found: dict[tuple[str, str], Source] = {}
+    for path in paths:
+        reader = BagReader(path)
+        source = Source(path=path, info=reader.info, result=reader.result, shared=is_shared(reader))
+        found.setdefault((source.episode_id, source.result.final_state_hash), source)
+    return list(found.values())
+
+
+def _made(sources: Sequence[Source], config: Selection) -> list[tuple[Source, Content]]:
+    """Return what an export makes of bags."""
+    exported = exported_sources(sources, config)
+    content = content_of(exported, config)
+    return [(source, content) for source in exported]
+
+
+def _of(episode: Episode, exported: Sequence[tuple[Source, Content]]) -> list[tuple[Source, Content]]:
+    """Return those that are of an audited episode: runs of one seed have the same ids."""
+    state = episode.metadata.get("final_state_hash")
+    return [
+        (source, content) for source, content in exported
+        if source.episode_id == episode.episode_id and state in (None, source.result.final_state_hash)
+    ]  # fmt: skip
 
 
 def relabels(dataset: Dataset) -> Callable[[str], str]:
@@ -94,7 +113,7 @@ def relabels(dataset: Dataset) -> Callable[[str], str]:
     Raises:
         RoboximError: When the dataset states edits that are none.
     """
-    first = [edit for config in _exports(dataset.facts, whole=False) for edit in _given(config)]
+    first = [edit for _, config in _exports(dataset.facts, whole=False) for edit in _given(config)]
     words = {edit.episode: edit.instruction for edit in first if edit.instruction}
     later = {edit.episode: edit.instruction for edit in _edits(dataset.facts) if edit.instruction}
     return lambda name: later.get(name) or words.get(whole_id(name), "")
@@ -132,11 +151,11 @@ def _edits(facts: Mapping[str, Any]) -> Iterator[Edit]:
         yield from_plain(edit, Edit, source="export.json")
 
 
-def _exports(facts: Mapping[str, Any], *, whole: bool) -> Iterator[dict[str, Any]]:
-    """Yield the settings of the exports that a dataset comes from; ``whole``: only of those that it has all of."""
+def _exports(facts: Mapping[str, Any], *, whole: bool) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield format and settings of the exports that a dataset comes from; ``whole``: of those that it has all of."""
     how = facts.get("how")
     if "config" in facts:
-        yield dict(facts["config"])
+        yield str(facts.get("format", "")), dict(facts["config"])
     elif not whole or how == "merge" or (how == "convert" and not facts.get("where")):
         for source in facts.get("sources", ()):
             yield from _exports(source, whole=whole)
@@ -147,12 +166,12 @@ def _selected(dataset: Dataset, sources: Sequence[Source], config: Selection) ->
 
     Otherwise, or where the bags are too few for its settings, nothing says which episodes of the bags it should have.
     """
-    exports = list(_exports(dataset.facts, whole=True))
+    exports = [settings for _, settings in _exports(dataset.facts, whole=True)]
     shards = [str(export.pop("shard", "")) for export in exports]
     if not exports or exports.count(exports[0]) < len(exports) or (len(exports) > 1 and not all(shards)):
         return set()
-    by_run = groupby(sources, key=lambda source: source.path.parent)
-    ordered = [source for _, of_run in by_run for source in in_order(list(of_run))]
+    runs = dict.fromkeys(source.path.parent for source in sources)
+    ordered = [one for run in runs for one in in_order([source for source in sources if source.path.parent == run])]
     try:
         parts = [selected(ordered, replace(config, shard=shard), Counter()) for shard in shards]
     except RoboximError:
@@ -160,17 +179,18 @@ def _selected(dataset: Dataset, sources: Sequence[Source], config: Selection) ->
     return {source.episode_id for part in parts for group in part.values() for source in group}
 
 
-def _settings(dataset: Dataset) -> Selection | None:
-    """Return the settings of the export that a dataset comes from, also through conversions; None: it does not say."""
-    facts: Any = dataset.facts
-    while isinstance(facts, Mapping) and "config" not in facts:
-        sources = facts.get("sources") or [None]
-        facts = sources[0]
-    if not isinstance(facts, Mapping) or facts.get("format") not in EXPORTERS:
-        return None
-    try:
-        config: Selection = from_plain(facts["config"], EXPORTERS[facts["format"]]().config, source="export.json")
-    except (ConfigError, RoboximError):
-        return None
+def _settings(dataset: Dataset) -> list[Selection]:
+    """Return the settings of the exports that a dataset comes from, without shards; empty: it does not say all."""
     file = dataset.folder / CONVENTION_FILE
-    return replace(config, convention=str(file)) if config.convention and file.is_file() else config
+    found: list[Selection] = []
+    for form, settings in _exports(dataset.facts, whole=False):
+        if form not in EXPORTERS:
+            return []
+        try:
+            config: Selection = from_plain({**settings, "shard": ""}, EXPORTERS[form]().config, source="export.json")
+        except RoboximError:
+            return []
+        config = replace(config, convention=str(file)) if config.convention and file.is_file() else config
+        if config not in found:
+            found.append(config)
+    return found
