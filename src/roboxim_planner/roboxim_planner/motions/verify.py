@@ -9,6 +9,7 @@ Verification is independent of the way in which the motion was made:
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,7 +77,8 @@ def verify_motion(
     """
     times = np.append(np.arange(0.0, motion.duration, LIMIT_PERIOD_S), motion.duration)
     q, v, a, j = motion.evaluate(times)
-    violations = _limit_violations(robot, q, limits, velocities=v, accelerations=a, jerks=j)
+    limited = list(_limited(robot, limits, q, v, a, j))
+    violations = tuple(text for one in limited for text in one.violations())
     if goal is not None and float(np.abs(q[-1] - goal).max()) > 1e-6:
         violations += (f"the motion ends {np.abs(q[-1] - goal).max():.2g} rad from its goal",)
     if float(np.abs(v[[0, -1]]).max()) > 1e-6:
@@ -88,7 +90,7 @@ def verify_motion(
     hit = -1 if sweep is None or not explain else sweep.first_hit(q)
     if sweep is not None and hit < 0:
         hit = _witnessed_hit(sweep, q)
-    index = _first_beyond(robot, q, limits, v, a, j) if violations and explain else -1
+    index = _first_beyond(limited) if violations and explain else -1
     if sweep is None or hit < 0:
         return Finding(violations=violations, index=index)
     if not explain:
@@ -139,10 +141,9 @@ def verify_samples(
     if times is not None and velocities is None and len(positions) > 1:
         velocities = np.diff(positions, axis=0) / np.diff(times)[:, None]
         velocities = np.concatenate([velocities, velocities[-1:]])  # of the line after each point
-    violations = _limit_violations(
-        robot, positions, limits, velocities=velocities, accelerations=accelerations, jerks=None
-    )
-    first = _first_beyond(robot, positions, limits, velocities, accelerations, None) if violations else -1
+    limited = list(_limited(robot, limits, positions, velocities, accelerations, None))
+    violations = tuple(text for one in limited for text in one.violations())
+    first = _first_beyond(limited) if violations else -1
     hit = _first_hit(sweep.exact, positions, watch)
     if hit < 0.0:
         hit = float(_witnessed_hit(sweep, positions))
@@ -186,73 +187,73 @@ def between(path: Array, place: float) -> Array:
     return np.asarray(path[i] + (place - i) * (following - path[i]))
 
 
-def _limit_violations(
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Limited:
+    """A quantity along a trajectory, with its limits."""
+
+    values: Array
+    """Shape (N, K)."""
+    lower: Array
+    """Least allowed values, tolerance included, shape (K,)."""
+    upper: Array
+    """Greatest allowed values, tolerance included, shape (K,)."""
+    sentence: Callable[[int, float], str]
+    """Says that a component reaches a value."""
+    every: bool = False
+    """Whether every component beyond its limits is named, rather than the one that is furthest beyond."""
+
+    def violations(self) -> Iterator[str]:
+        """Yield what breaks the limits, as sentences."""
+        lows, highs = native.extremes(self.values)
+        worst = np.where(self.lower - lows > highs - self.upper, lows, highs)
+        beyond = np.flatnonzero((lows < self.lower) | (highs > self.upper))
+        if len(beyond) and not self.every:
+            beyond = beyond[[np.argmax(np.abs(worst[beyond]) / self.upper[beyond])]]
+        yield from (self.sentence(int(i), float(worst[i])) for i in beyond)
+
+    def beyond(self) -> npt.NDArray[np.bool_]:
+        """Return whether each point breaks a limit, shape (N,)."""
+        return np.asarray(((self.values < self.lower) | (self.values > self.upper)).any(axis=1))
+
+
+def _limited(
     robot: PlannerRobot,
-    positions: Array,
     limits: MotionLimits,
-    *,
+    positions: Array,
     velocities: Array | None,
     accelerations: Array | None,
     jerks: Array | None,
-) -> tuple[str, ...]:
-    names = robot.description.joint_names
-    found = []
-    lows, highs = native.extremes(positions)
-    for i in np.flatnonzero((lows < robot.lower - 1e-6) | (highs > robot.upper + 1e-6)):
-        low, high = lows[i], highs[i]
-        worst = low if robot.lower[i] - low > high - robot.upper[i] else high
-        found.append(f"{names[i]} reaches {worst:.4f} rad, outside [{robot.lower[i]:.4f}, {robot.upper[i]:.4f}]")
+) -> Iterator[_Limited]:
+    """Yield the limited quantities of a trajectory, each of shape (N, dof); none: not checked."""
+    names, low, high = robot.description.joint_names, robot.lower, robot.upper
+    yield _Limited(
+        values=positions, lower=low - 1e-6, upper=high + 1e-6, every=True,
+        sentence=lambda i, value: f"{names[i]} reaches {value:.4f} rad, outside [{low[i]:.4f}, {high[i]:.4f}]",
+    )  # fmt: skip
     for what, unit, values, limit in (
         ("velocity", "rad/s", velocities, limits.velocity),
         ("acceleration", "rad/s^2", accelerations, limits.acceleration),
         ("jerk", "rad/s^3", jerks, limits.jerk),
     ):
         if values is not None:
-            peaks = np.abs(native.extremes(values)).max(axis=0)
-            joint = int(np.argmax(peaks / limit))
-            if peaks[joint] > _SLACK * limit[joint]:
-                peak, bound = peaks[joint], limit[joint]
-                found.append(f"{what} of {names[joint]} reaches {peak:.4g} {unit}, its limit is {bound:.4g}")
+            yield _at_most([f"{what} of {name}" for name in names], unit, values, limit, _SLACK)
     if limits.limits_tcp and velocities is not None:
-        found.extend(_tcp_violations(robot, positions, velocities, limits))
-    return tuple(found)
+        speeds = robot.arm.tcp_speeds(positions, velocities)
+        for column, (what, unit, most) in enumerate(
+            (("speed", "m/s", limits.tcp_speed), ("angular speed", "rad/s", limits.tcp_rot_speed))
+        ):
+            yield _at_most([f"{what} of the TCP"], unit, speeds[:, [column]], np.array([most]), _SLACK + 0.01)
 
 
-def _first_beyond(
-    robot: PlannerRobot,
-    positions: Array,
-    limits: MotionLimits,
-    velocities: Array | None,
-    accelerations: Array | None,
-    jerks: Array | None,
-) -> int:
-    """Return the index of the first point that breaks a limit; see `_limit_violations`. -1: none."""
-    beyond = ((positions < robot.lower - 1e-6) | (positions > robot.upper + 1e-6)).any(axis=1)
-    for values, limit in (
-        (velocities, limits.velocity),
-        (accelerations, limits.acceleration),
-        (jerks, limits.jerk),
-    ):
-        if values is not None:
-            beyond |= (np.abs(values) > _SLACK * limit).any(axis=1)
-    if limits.limits_tcp and velocities is not None:
-        beyond |= (robot.arm.tcp_speeds(positions, velocities) > _tcp_bounds(limits)).any(axis=1)
+def _at_most(names: Sequence[str], unit: str, values: Array, limit: Array, slack: float) -> _Limited:
+    """Return a quantity of either sign with the greatest sizes of its components."""
+    return _Limited(
+        values=values, lower=-slack * limit, upper=slack * limit,
+        sentence=lambda i, value: f"{names[i]} reaches {abs(value):.4g} {unit}, its limit is {limit[i]:.4g}",
+    )  # fmt: skip
+
+
+def _first_beyond(limited: Sequence[_Limited]) -> int:
+    """Return the index of the first point that breaks a limit; -1: none."""
+    beyond = np.any([one.beyond() for one in limited], axis=0)
     return int(np.argmax(beyond)) if beyond.any() else -1
-
-
-def _tcp_bounds(limits: MotionLimits) -> Array:
-    """Return the largest speed [m/s] and angular speed [rad/s] of the TCP, shape (2,), with their slack."""
-    return np.array([limits.tcp_speed, limits.tcp_rot_speed]) * (_SLACK + 0.01)
-
-
-def _tcp_violations(robot: PlannerRobot, positions: Array, velocities: Array, limits: MotionLimits) -> list[str]:
-    rates = robot.arm.tcp_speeds(positions, velocities)
-    found = []
-    linear, angular = _tcp_bounds(limits)
-    for what, unit, speeds, limit, bound in (
-        ("speed", "m/s", rates[:, 0], limits.tcp_speed, linear),
-        ("angular speed", "rad/s", rates[:, 1], limits.tcp_rot_speed, angular),
-    ):
-        if speeds.max() > bound:
-            found.append(f"{what} of the TCP reaches {speeds.max():.4g} {unit}, its limit is {limit:.4g}")
-    return found
