@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.description import RobotModel
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.mesh_files import Stamp, file_stamp
 from roboxim_core.poses import Pose
 
 
@@ -70,14 +72,20 @@ class LinkVolumes:
         return found
 
 
-@lru_cache(maxsize=4)
 def link_volumes(robot: str) -> LinkVolumes:
-    """Return the shapes of a robot of ``config/robots``.
+    """Return the shapes of a robot of ``config/robots``, kept until its YAML file or URDF changes.
 
     Raises:
         ConfigError: When there is no such robot.
     """
-    return LinkVolumes(ModelLibrary().robot(robot))
+    library = ModelLibrary()
+    file, urdf = library.path("robots", robot), library.robot(robot).urdf
+    return _volumes(file, (file_stamp(file), file_stamp(urdf)))
+
+
+@lru_cache(maxsize=4)
+def _volumes(file: Path, _stamp: Stamp) -> LinkVolumes:
+    return LinkVolumes(ModelLibrary(file.parent.parent).robot(file.stem))
 
 
 def _rotation(matrix: npt.ArrayLike) -> Any:

@@ -32,7 +32,8 @@ MAX_MODIFIED = 512
 class ModelLibrary:
     """The robots and objects of a config directory.
 
-    Returned models are frozen and cached. An object is read again when one of its files has changed.
+    Returned models are frozen and cached. A robot is read again when its YAML file has changed, an object when one of
+    its files has.
     """
 
     def __init__(self, config_dir: Path | str | None = None) -> None:
@@ -45,7 +46,6 @@ class ModelLibrary:
         self.search_path = (Path(config_dir),) if config_dir is not None else config_dirs()
         self._objects: dict[str, tuple[ObjectConfig, Stamp]] = {}
         self._sets: dict[str, dict[str, Path]] | None = None
-        self._robots: dict[str, RobotModel] = {}
         self._modified: dict[tuple[str, Stamp, tuple[tuple[str, Scalar], ...]], ObjectModel] = {}
 
     @property
@@ -87,22 +87,8 @@ class ModelLibrary:
         Raises:
             ConfigError: When the id is unknown (the message lists the known ids) or the file is invalid.
         """
-        if robot_id not in self._robots:
-            path = self.path("robots", robot_id)
-            model = load_config(path, RobotModel)
-            urdf, srdf = path.parent / model.urdf, path.parent / model.srdf
-            for kind, file in (("urdf", urdf), ("srdf", srdf)):
-                if not file.is_file():
-                    raise ConfigError(f"{path}: {kind}: no such file: {file}")
-            pairs = tuple(
-                dataclasses.replace(pair, parts=tuple(str(path.parent / part) for part in pair.parts))
-                for pair in model.close_pairs
-            )
-            for part in (part for pair in pairs for part in pair.parts):
-                if not Path(part).is_file():
-                    raise ConfigError(f"{path}: close_pairs: no such file: {part}")
-            self._robots[robot_id] = dataclasses.replace(model, id=robot_id, urdf=urdf, srdf=srdf, close_pairs=pairs)
-        return self._robots[robot_id]
+        path = self.path("robots", robot_id)
+        return _robot(path, file_stamp(path))
 
     def object(self, object_id: str, modifiers: Mapping[str, Scalar] | None = None) -> ObjectModel:
         """Return an object with its modifiers applied.
@@ -238,6 +224,21 @@ class ModelLibrary:
 def _parsed(path: Path, _stamp: tuple[int, int]) -> ObjectConfig:
     """Parse a file once for all libraries and again when it changes: reading YAML dominates the loading time."""
     return load_config(path, ObjectConfig)
+
+
+@lru_cache(maxsize=64)
+def _robot(path: Path, _stamp: tuple[int, int]) -> RobotModel:
+    model = load_config(path, RobotModel)
+    urdf, srdf = path.parent / model.urdf, path.parent / model.srdf
+    pairs = tuple(
+        dataclasses.replace(pair, parts=tuple(str(path.parent / part) for part in pair.parts))
+        for pair in model.close_pairs
+    )
+    parts = [("close_pairs", Path(part)) for pair in pairs for part in pair.parts]
+    for key, file in (("urdf", urdf), ("srdf", srdf), *parts):
+        if not file.is_file():
+            raise ConfigError(f"{path}: {key}: no such file: {file}")
+    return dataclasses.replace(model, id=path.stem, urdf=urdf, srdf=srdf, close_pairs=pairs)
 
 
 _ASSETS = {".urdf", ".srdf", ".stl", ".obj", ".mtl", ".glb", ".gltf", ".bin", ".png", ".jpg"}

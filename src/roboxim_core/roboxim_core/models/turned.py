@@ -14,6 +14,8 @@ from roboxim_core.vision.renderer import TriangleMesh
 
 CREASE_RAD = np.radians(35.0)
 """Where a profile turns by more, the surface has an edge."""
+FOLD_RAD = np.radians(179.0)
+"""Where a smooth profile turns by more, it has no mean normal."""
 AROUND_M, ALONG_M = 0.008, 0.004
 """Length of a facet around the widest place, unless that gives fewer than 12 or more than 36, and along a curve."""
 
@@ -34,11 +36,14 @@ def lathe(size: tuple[float, ...]) -> TriangleMesh:
 
 @visual_generators.register("smooth_lathe")
 def smooth_lathe(size: tuple[float, ...]) -> TriangleMesh:
-    """Return a surface of revolution about z whose profile is a smooth curve through points; else as `lathe`."""
+    """Return a surface of revolution about z whose profile is a smooth curve through points; else as `lathe`.
+
+    Where the profile turns back on itself, the surface has an edge.
+    """
     points = _pairs(size)
     curve = _spline(points)
     curve[:, 0] = np.maximum(curve[:, 0], 0.0)
-    return _revolved(curve, crease_rad=np.pi)
+    return _revolved(curve, crease_rad=FOLD_RAD)
 
 
 @visual_generators.register("tube")

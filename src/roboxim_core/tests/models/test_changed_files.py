@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from roboxim_core.kinematics.volumes import link_volumes
 from roboxim_core.models.check import check_object
 from roboxim_core.models.description import Visual
 from roboxim_core.models.library import ModelLibrary
@@ -84,3 +85,21 @@ def test_a_changed_image_or_robot_is_read_again(tmp_path: Path) -> None:
         shown.append((*images, np.ptp(link.mesh.vertices, axis=0)[0]))
     assert all(before != after for before, after in zip(*shown, strict=True))
     assert shown[1][2] == pytest.approx(0.125)
+
+
+def test_a_changed_robot_is_read_again_and_one_of_the_same_name_is_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = ModelLibrary().path("robots", "ur5e")
+    (tmp_path / "robots").mkdir()
+    file = tmp_path / "robots" / "ur5e.yaml"
+    text = shipped.read_text().replace(": ur5e/", f": {shipped.parent}/ur5e/")
+    file.write_text(text)
+    library, first = ModelLibrary(tmp_path), link_volumes("ur5e")
+    before = library.robot("ur5e")
+    assert library.robot("ur5e") is before
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(tmp_path))
+    own = link_volumes("ur5e")
+    file.write_text(text.replace("position_gain: 0.3", "position_gain: 0.25"))
+    assert (before.position_gain, library.robot("ur5e").position_gain) == (0.3, 0.25)
+    assert len({first, own, link_volumes("ur5e")}) == 3
