@@ -88,6 +88,9 @@ def test_rates_of_all_policies_are_over_the_same_cells():
     assert [policy.rates for policy in found] == [pytest.approx((0.9, 0.9))] * 3
     whole = Arm(replicates=({WHOLE: Count(successes=5, episodes=10)},))
     assert [p.rates for p in policy_counts({"a": (both, whole), "b": (easy, whole)})] == [(0.9, 0.5)] * 2
+    assert [p.rates for p in policy_counts({"a": (whole, both), "b": (both, both)})] == [(0.5, 0.5)] * 2
+    with pytest.raises(InvalidRequestError, match="the cells drawer, .* the first table has outcomes of b that name"):
+        policy_counts({"a": (both, easy), "b": (whole, easy)})
 
 
 def test_two_policies_are_refused():

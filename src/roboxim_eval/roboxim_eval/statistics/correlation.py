@@ -105,13 +105,14 @@ def mean_maximum_rank_violation(real: Array, predicted: Array) -> Array:
 def policy_counts(policies: Mapping[str, tuple[Arm, Arm]]) -> list[PolicyCounts]:
     """Return the outcomes of policies over the cells that all of them have in both benchmarks.
 
-    A table without cells (`WHOLE`) stands for all of these cells.
+    Outcomes without cells (`WHOLE`) count as they are, as those of a benchmark of one cell.
 
     Args:
         policies: Policy to its outcomes in the benchmark to be predicted, and in the one that is to predict it.
 
     Raises:
-        InvalidRequestError: When no cell is common to all.
+        InvalidRequestError: When no cell is common to all, or cells of some policies are left out of a table in which
+            others name none.
     """
     met = [
         (name, [cell for cell, count in arm.by_cell.items() if count.episodes])
@@ -121,6 +122,16 @@ def policy_counts(policies: Mapping[str, tuple[Arm, Arm]]) -> list[PolicyCounts]
     if met and not common:
         have = "; ".join(dict.fromkeys(f"{name}: {', '.join(cells)}" for name, cells in met))
         raise InvalidRequestError(f"no cell is common to all policies and both tables ({have})")
+    for table in (0, 1):
+        arms = {name: both[table] for name, both in policies.items()}
+        whole = [name for name, arm in arms.items() if WHOLE in arm.cells]
+        left = dict.fromkeys(cell for arm in arms.values() for cell in arm.cells if cell not in (*common, WHOLE))
+        if whole and left:
+            raise InvalidRequestError(
+                f"not all policies and tables have the cells {', '.join(left)}, so that they are left out, but the "
+                f"{('first', 'second')[table]} table has outcomes of {', '.join(whole)} that name no cell: name their "
+                "cells, or give all policies the same cells"
+            )
     return [
         PolicyCounts(name=name, first=_counts(one, common), second=_counts(two, common))
         for name, (one, two) in policies.items()
