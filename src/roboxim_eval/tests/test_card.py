@@ -1,8 +1,10 @@
 """The card of an experiment: its form, its hash, what follows from its counts; and models compared by their cards."""
 
 import json
+import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from planted_cards import planted_card, shipped
 
@@ -13,8 +15,10 @@ from roboxim_eval.benchmark.config import Reference, ReferenceScore, benchmark_c
 from roboxim_eval.experiments.card import sha256_of
 from roboxim_eval.experiments.card_checks import check_card, concluded
 from roboxim_eval.experiments.card_schema import CARDS, schema_file, schema_of, schema_text
+from roboxim_eval.experiments.config import CompareConfig
 from roboxim_eval.experiments.models import compare_models
 from roboxim_eval.report.benchmark import benchmark_page
+from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
 from roboxim_eval.report.experiment import ExperimentPage, experiment_page
 from roboxim_eval.report.markdown import benchmark_markdown, experiment_markdown
 from roboxim_eval.report.models import models_page
@@ -194,6 +198,46 @@ def test_a_page_without_a_primary_comparison_shows_all_of_them_together(card):
     assert 'id="cells"' in one
 
 
+def test_a_cell_without_episodes_of_a_condition_has_no_difference(card):
+    """All its episodes were excluded: the rate is not 0."""
+    cell = next(one.key for one in shipped(replicates=3).cells if one.unseen)
+    rows = [
+        replace(row, by_cell={**row.by_cell, cell: (0, 0, 0)}) if row.condition == "leave_out" else row
+        for row in card.evaluations
+    ]
+    page = experiment_page(ExperimentPage(card=concluded(replace(card, evaluations=tuple(rows), pairs={}))))
+    assert "0 of 0" not in page
+    assert f"no episode counts in {cell}" in page
+
+
+def test_many_comparisons_are_grouped_by_verdict_if_all_are_of_the_same_cells(card):
+    config = card.experiment.config
+    compares = [
+        CompareConfig(first=name, second="baseline", where="unseen", primary=False) for name in ("leave_out", "blind")
+    ] * 3  # fmt: skip
+    mixed = [replace(one, where="seen") if one.first == "leave_out" else one for one in compares]
+    for compare, grouped in ((compares, True), (mixed, False)):
+        experiment = replace(card.experiment, config=replace(config, compare=tuple(compare)))
+        page = experiment_page(ExperimentPage(card=concluded(replace(card, experiment=experiment, pairs={}))))
+        assert ("Lower than baseline in unseen cells: <b>" in page) == grouped
+        assert ("All 6 comparisons in full" in page) == grouped
+
+
+def test_names_and_numbers_of_a_curve_do_not_overlap_or_leave_it():
+    """Eight curves at the bottom, with points that are close together at the left."""
+    steps = (100, 200, 4000, 8000)
+    names = [f"condition_{n}" for n in range(7)] + ["a_condition_with_a_very_long_name"]
+    picture = learning_curve({name: [CurvePoint(steps=s, rates=(0.02, 0.0)) for s in steps] for name in names})
+    labels = re.findall(r'<text x="([\d.]+)" y="([\d.]+)" class="name c\d">(\w+)<', picture)
+    assert [name for *_, name in labels] == names
+    heights = sorted(float(y) for _, y, _ in labels)
+    assert (heights[0] > 0, heights[-1] < 300) == (True, True)
+    assert min(np.diff(heights)) > 13.9
+    width = float(re.search(r'viewBox="0 0 ([\d.]+) 300"', picture)[1])
+    assert float(labels[-1][0]) + 7 * len(names[-1]) < width
+    assert re.findall(r'y="276" text-anchor="middle" class="axis">(\w+)<', picture) == ["8k", "4k", "200"]
+
+
 def test_a_training_counts_once(card):
     data = card.plain
     twice = [row for row in data["evaluations"] if row["replicate"] == 0] * 3
@@ -343,7 +387,7 @@ def test_models_are_compared_on_equal_cells():
 def test_single_trainings_are_compared_as_checkpoints():
     cards = models_of({"weak": 0.2, "strong": 0.9}, replicates=1)
     apart = compare_models(cards)
-    assert "these checkpoints, on different scenes" in apart.pairs[0].test
+    assert "these checkpoints, without pairing their scenes" in apart.pairs[0].test
     scene = {("pick_up target=cube", str(i)): True for i in range(30)}
     same = compare_models(cards, scenes={"weak": [dict.fromkeys(scene, False)], "strong": [scene]})
     assert same.pairs[0].test == "these checkpoints, on 30 scenes that both met"

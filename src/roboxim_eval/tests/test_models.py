@@ -246,7 +246,16 @@ def test_fewer_than_three_trainings_of_different_numbers_are_compared_by_all_the
     scene = {("pick_up target=cube", str(i)): True for i in range(30)}
     found = compare_models(cards, scenes={"A": [scene, scene], "B": [dict.fromkeys(scene, False)]})
     assert found.pairs[0].difference.value == pytest.approx(0.0)
-    assert found.pairs[0].test == "these checkpoints, on different scenes"
+    assert found.pairs[0].test == "these checkpoints, without pairing their scenes"
+
+
+def test_models_whose_interval_includes_0_are_not_said_to_differ():
+    cards = {"few": card_of([0.0], per_cell=2), "many": card_of([0.25], per_cell=20)}
+    found = compare_models(cards)
+    (pair,) = found.pairs
+    assert pair.p < 0.05, "Boschloo's test and Newcombe's interval disagree about 0 of 12 and 30 of 120"
+    assert found.verdicts[0].startswith("Cannot tell whether few or many is better: -33 to +2 points are compatible")
+    assert {model.letters for model in found.models.values()} == {"a"}
 
 
 # ------------------------------------------------------------------ scenes that not all met

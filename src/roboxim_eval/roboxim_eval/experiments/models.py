@@ -82,6 +82,14 @@ class PairOfModels:
     test: str
     """Test, in words."""
 
+    @property
+    def differs(self) -> bool:
+        """Whether a difference is shown: p is at most 0.05, and the interval excludes 0.
+
+        The exact test may find a difference of small samples whose interval, by another method, includes 0.
+        """
+        return self.p <= 0.05 and not self.difference.low <= 0 <= self.difference.high
+
 
 @dataclass(frozen=True, kw_only=True)
 class Models:
@@ -128,14 +136,14 @@ class Models:
     @property
     def verdicts(self) -> tuple[str, ...]:
         """A sentence for each pair, first those that differ; then cells that are left out, and other differences."""
-        differing = [pair for pair in self.pairs if pair.p <= 0.05]
+        differing = [pair for pair in self.pairs if pair.differs]
         found = [
             f"{best} is better than {worse} by {100 * abs(pair.difference.value):.0f} points "
             f"({_ends(pair.difference)}), {self._basis(pair)}."
             for pair in differing
             for best, worse in [_ordered(pair)]
         ]
-        rest = [pair for pair in self.pairs if pair.p > 0.05]
+        rest = [pair for pair in self.pairs if not pair.differs]
         found += [
             f"Cannot tell whether {pair.first} or {pair.second} is better: {self._unclear(pair)}, {self._basis(pair)}."
             for pair in rest
@@ -202,7 +210,7 @@ def compare_models(
         for p, q in zip(found, adjusted, strict=True)
     )
     letters = compact_letters(
-        {name: arm.rate for name, arm in arms.items()}, {(p.first, p.second): p.p <= 0.05 for p in pairs}
+        {name: arm.rate for name, arm in arms.items()}, {(p.first, p.second): p.differs for p in pairs}
     )
     return Models(
         condition=condition, where=where, cells=tuple(order),
@@ -258,7 +266,9 @@ def _pair(
         together = sum(pairs[1:], start=pairs[0])
         found, test = paired_difference(together), f"these checkpoints, on {together.scenes} scenes that both met"
     else:
-        found, test = independent_difference(*_rollouts(first, second)), "these checkpoints, on different scenes"
+        found = independent_difference(*_rollouts(first, second))
+        apart = equal and scenes.get(one) and scenes.get(two) and not any(p.scenes for p in pairs)
+        test = f"these checkpoints, {'on different scenes' if apart else 'without pairing their scenes'}"
     interval = Interval(value=found.value, low=found.low, high=found.high)
     return PairOfModels(first=one, second=two, difference=interval, p=found.p_value, test=test)
 

@@ -178,17 +178,18 @@ def _kinds(card: Card) -> list[tuple[str, str, list[tuple[str, str]]]]:
     """Return the conditions by verdict, each with its difference, if there are too many sentences to read.
 
     Returns:
-        Verdict, condition that all are compared with, and names with differences in points; empty: few comparisons, or
-        with several conditions.
+        Verdict, condition that all are compared with and where, and names with differences in points; empty: few
+        comparisons, or with several conditions or cells.
     """
-    seconds = {verdict.second for verdict in card.verdicts}
+    seconds = {(verdict.second, verdict.where) for verdict in card.verdicts}
     if len(card.verdicts) < MANY or len(seconds) > 1 or any(verdict.against for verdict in card.verdicts):
         return []
     found: dict[str, list[tuple[str, str]]] = {"lower": [], "higher": [], "as_good": [], "cannot_tell": []}
     for verdict in card.verdicts:
         value = verdict.difference[0]
         found[verdict.kind].append((verdict.first, "?" if value is None else f"{100 * abs(value):.0f}"))
-    (second,) = seconds
+    ((second, where),) = seconds
+    second += f" in {where} cells" if where != "all" else ""
     return [(kind, second, names) for kind, names in found.items() if names]
 
 
@@ -291,7 +292,7 @@ def _has_primary(card: Card) -> bool:
 
 
 def _forest(verdict: CardVerdict, design: Design, arms: Mapping[str, Arm], link: Link) -> dict[str, Any]:
-    """Return the rows of a comparison: its cells, and the total with the replicates as dots."""
+    """Return the rows of a comparison: its cells with episodes, and the total with the replicates as dots."""
     keys = [cell.key for cell in chosen(design.cells, verdict.where)]
     unseen = {cell.key for cell in design.cells if cell.unseen}
     first = arms[verdict.first].within(keys)
@@ -309,8 +310,9 @@ def _forest(verdict: CardVerdict, design: Design, arms: Mapping[str, Arm], link:
     second = arms[verdict.second].within(keys)
     both = any_of((verdict.first, verdict.second))
     rows = [
-        _difference_row(key, first.by_cell[key], second.by_cell[key], key in unseen, link(arm=both, cell=key))
+        _difference_row(key, one, two, key in unseen, link(arm=both, cell=key))
         for key in keys
+        if (one := first.by_cell[key]).episodes and (two := second.by_cell[key]).episodes
     ]
     value, low, high = (math.nan if x is None else x for x in verdict.difference)
     one, two = first.pooled, second.pooled
@@ -337,6 +339,8 @@ def _difference_row(cell: str, one: Count, two: Count, unseen: bool, link: str) 
 def _rate_rows(name: str, arm: Arm, unseen: set[str], link: Link) -> list[ForestRow]:
     rows = []
     for cell, count in arm.by_cell.items():
+        if not count.episodes:
+            continue
         rate = success_rate(count.successes, count.episodes)
         rows.append(ForestRow(
             label=f"{name}: {cell}", value=rate.rate, low=rate.low, high=rate.high,

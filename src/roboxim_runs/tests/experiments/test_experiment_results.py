@@ -411,7 +411,7 @@ def test_models_are_compared_on_the_scenes_that_they_shared(tmp_path):
     card = tmp_path / "card.json"
     card.write_text((tmp_path / "weak/card.json").read_text())
     models, _ = compared([card, tmp_path / "strong"])
-    assert models.pairs[0].test == "these checkpoints, on different scenes", "a card alone has no scenes"
+    assert models.pairs[0].test == "these checkpoints, without pairing their scenes", "a card alone has no scenes"
     with pytest.raises(ConfigError, match="two of the runs are named 'weak'"):
         compared([tmp_path / "weak", tmp_path / "weak"])
     models, _ = compared([tmp_path / "weak/card.json", tmp_path / "strong/card.json"])

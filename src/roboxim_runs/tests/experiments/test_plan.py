@@ -253,7 +253,7 @@ def test_a_rotated_design_is_written_as_a_benchmark_and_planned(tmp_path, monkey
     data = json.loads(joined.stdout)
     assert data["gap_cells_random"][1] < 0.3 < data["gap_cells_random"][2]
     text = CliRunner().invoke(command, ["join", *map(str, cards)], catch_exceptions=False).stdout
-    assert "3 held-out sets of 6 cells" in text
+    assert "3 held-out sets of 6 cells, 1 training of each condition a set" in text
 
 
 RATE = {"leave_out": 0.5, "baseline": 0.8, "blind": 0.05}

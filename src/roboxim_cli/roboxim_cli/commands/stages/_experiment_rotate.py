@@ -67,7 +67,8 @@ def join(cards: tuple[Path, ...], as_json: bool) -> None:
         click.echo(json.dumps(sizes | {key: plain_interval(one) for key, one in intervals.items()}, indent=2))
         return
     click.echo(
-        f"{found.sets} held-out sets of {found.cells} cells, {found.trainings} trainings of each condition a set"
+        f"{found.sets} held-out sets of {found.cells} cell{'s' * (found.cells != 1)}, {found.trainings} "
+        f"training{'s' * (found.trainings != 1)} of each condition a set"
     )
     click.echo(f"  absolute  {found.absolute}")
     click.echo(f"  baseline  {found.baseline}")

@@ -13,6 +13,12 @@ from roboxim_eval.report.charts.svg import link as linked
 
 WIDTH, HEIGHT = 680.0, 300.0
 LEFT, RIGHT, TOP, BOTTOM = 44.0, 130.0, 12.0, 40.0
+LETTER = 7.6
+"""Width of a letter of a name [px]."""
+LINE = 14.0
+"""Least distance of two names [px]."""
+TICK = 34.0
+"""Least distance of two numbers on the axis [px]."""
 COLOURS = 6
 """Number of colours of the style, after which they repeat."""
 
@@ -39,6 +45,7 @@ def learning_curve(
         axis: What the steps are.
     """
     max_steps = max(point.steps for points in curves.values() for point in points)
+    width = max(WIDTH, WIDTH - RIGHT + 12 + LETTER * max(map(len, curves)))  # names stand right of the lines
 
     def x(steps: float) -> float:
         return LEFT + (WIDTH - LEFT - RIGHT) * steps / max_steps
@@ -52,7 +59,11 @@ def learning_curve(
         parts.append(
             element("text", f"{100 * rate:.0f} %", x=LEFT - 6, y=y(rate) + 4, text_anchor="end", class_="axis")
         )
-    for steps in sorted({point.steps for points in curves.values() for point in points}):
+    marked = 2 * max_steps
+    for steps in sorted({point.steps for points in curves.values() for point in points}, reverse=True):
+        if x(marked) - x(steps) < TICK:
+            continue
+        marked = steps
         parts.append(
             element("text", _steps(steps), x=x(steps), y=HEIGHT - BOTTOM + 16, text_anchor="middle", class_="axis")
         )
@@ -74,7 +85,7 @@ def learning_curve(
         parts.append(element("text", name, x=mean[-1][0] + 8, y=label, class_=f"name {colour}"))
     return drawing(
         parts,
-        width=WIDTH,
+        width=width,
         height=HEIGHT,
         label=f"Success rate over {axis}",
         class_="chart curve",
@@ -82,11 +93,14 @@ def learning_curve(
 
 
 def _free(y: float, taken: list[float]) -> float:
-    """Return a height for a label that overlaps none of the earlier ones, and note it."""
-    while any(abs(y - other) < 14 for other in taken):
-        y += 14
-    taken.append(y)
-    return y
+    """Return the nearest height in the picture for a label that overlaps none of the earlier ones, and note it."""
+    offsets = (sign * n * LINE / 2 for n in range(int(4 * HEIGHT / LINE)) for sign in (1, -1))
+    free = (
+        y + offset for offset in offsets
+        if LINE <= y + offset <= HEIGHT - 4 and all(abs(y + offset - other) >= LINE for other in taken)
+    )  # fmt: skip
+    taken.append(next(free, y))
+    return taken[-1]
 
 
 def _points(places: Sequence[tuple[float, float]]) -> str:
