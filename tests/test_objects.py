@@ -22,7 +22,7 @@ from roboxim_sim.bullet import BulletClient
 from roboxim_sim.rendering import textures  # registers the room's
 
 LIBRARY = ModelLibrary()
-SHAPES = LIBRARY.object_sets["shapes"]
+SHAPES, TOOLS = LIBRARY.object_sets["shapes"], LIBRARY.object_sets["tools"]
 MAX_TRIANGLES = 1500
 VISUAL_TOLERANCE_M = 0.015
 """A stem or a leaf may protrude from the collision shapes."""
@@ -34,6 +34,7 @@ each_object = pytest.mark.parametrize(
     "object_id",
     [
         *LIBRARY.object_ids,
+        *TOOLS,
         *(
             pytest.param(name, marks=pytest.mark.slow if number % 10 else pytest.mark.thorough)
             for number, name in enumerate(SHAPES)
@@ -69,7 +70,8 @@ def test_the_objects_that_tasks_speak_of_are_there() -> None:
         LIBRARY.object_ids
     )
     assert len(LIBRARY.object_ids) >= 16
-    assert len({LIBRARY.object(i).name for i in LIBRARY.object_ids}) == len(LIBRARY.object_ids)
+    named = (*LIBRARY.object_ids, *TOOLS)
+    assert len({LIBRARY.object(i).name for i in named}) == len(named)
 
 
 @each_object
@@ -130,6 +132,16 @@ def test_an_object_rests_at_its_rest_height(object_id: str, client: BulletClient
         assert turned < math.radians(2.0)
         assert np.linalg.norm(state.angular_velocity) < (0.05 if object_id in SHAPES else 0.01)
         assert joints == pytest.approx([0.0] * len(joints), abs=1e-3)
+
+
+@pytest.mark.parametrize("object_id", TOOLS)
+def test_a_tool_is_held_off_its_middle_by_its_handle(object_id: str) -> None:
+    """Turning the hand alone would move a tool too far: `rotate` allows 5 cm, so the tool must move on an arc."""
+    model = LIBRARY.object(object_id)
+    assert [grasp.name for grasp in model.grasps] == ["top", "front", "back"]
+    assert all(-grasp.pose.position[0] > 0.05 / math.sqrt(2) for grasp in model.grasps)
+    assert -model.grasps[0].pose.position[0] <= 0.08
+    assert 0.18 <= model.size[0] <= 0.28
 
 
 @pytest.mark.thorough
