@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ from click.testing import CliRunner
 from PIL import Image
 
 from roboxim_cli.main import group
-from roboxim_core.config import load_config, named_config
+from roboxim_core.config import load_config, load_yaml, named_config
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
+from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.vision.looks import LookSet
 from roboxim_runs.episodes.task_choice import mix_of, task_text
@@ -118,10 +120,27 @@ def test_suites_are_versioned_and_balanced():
         assert mix.seed_by == "cell"
     core = run("tasks", "show", "core").output
     assert "14 cells, 70 episodes" in core
+    assert "cell          pick_up\nskill" in core, "which of a skill's cells is described"
     with pytest.raises(ConfigError, match="a suite has tasks of its own"):
         task_text("stack", suite="core")
     with pytest.raises(ConfigError, match="did you mean 'clutter'"):
         run("tasks", "show", "cluter")
+
+
+def test_the_suite_objects_lacks_the_pairs_that_its_experiments_hold_out_and_turns_tools_twice_as_often():
+    mix = mix_of(task_text(suite="objects"))
+    shown: Counter[tuple[str, str]] = Counter()
+    for cell, count in zip(mix.cells, mix.counts, strict=True):
+        models = cell.objects["target"].models.values
+        assert count % len(models) == 0, "each object of a cell is demonstrated equally often"
+        shown += {(cell.skill, str(model)): count // len(models) for model in models}
+    for experiment in ("skill_object", "breadth"):
+        held_out = load_yaml(named_config("experiments", experiment))["unseen"]
+        assert not {(pair["task"], pair["target"]) for pair in held_out} & set(shown)
+    tools = ModelLibrary().object_sets["tools"]
+    for skill, usual, of_tools in (("pick_up", 4, 4), ("place_on", 5, 5), ("rotate", 6, 12)):
+        assert {shown[skill, tool] for tool in tools} == {of_tools}
+        assert {n for (s, model), n in shown.items() if s == skill and model not in tools} == {usual}
 
 
 def test_an_evaluation_of_several_skills_has_a_table_by_skill():

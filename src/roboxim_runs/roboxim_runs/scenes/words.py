@@ -38,8 +38,12 @@ def task_lines(name: str) -> Iterator[str]:
             yield f"  {count:>4} of       {key}"
         if len(config.keys) > CELLS:
             yield f"  and {len(config.keys) - CELLS} more cells"
-        for cell in {cell.skill: cell for cell in config.cells}.values():
+        firsts: dict[str, tuple[str, TaskConfig]] = {}
+        for key, cell in zip(config.keys, config.cells, strict=True):
+            firsts.setdefault(cell.skill, (key, cell))
+        for key, cell in firsts.values():
             yield ""
+            yield f"cell          {key}"
             yield from _lines(cell)
     else:
         yield from _lines(config)
