@@ -38,34 +38,39 @@ def policy_files(
         exclude: A folder to ignore, e.g. the folder of the results.
 
     Returns:
-        Path relative to the working directory to the content's hash, 32 hexadecimal digits; a folder has one hash. Of a
-        trained policy's checkpoint its folder and name, which do not depend on the working directory.
+        Path to the content's hash, 32 hexadecimal digits; a folder has one hash. A path is relative to the policy's
+        folder (for its modules in the working directory, to that); of other files, such as a checkpoint, it is folder
+        and name. So the same policy has the same paths wherever a command runs.
 
     Raises:
         OSError: When a file cannot be read.
     """
-    found = {}
-    for path in _sources(spec, make):
-        found[_shown(path)] = _hash_file(path)
+    sources, roots = _sources(spec, make)
+    found = {_shown(path, roots): _hash_file(path) for path in sources}
     for value in options.values():
         if not isinstance(value, str | Path) or not str(value):
             continue
-        if spec in FAMILIES and (file := checkpoint_file(Path(value)).resolve()).is_file():
-            found[f"{file.parent.name}/{file.name}"] = _hash_file(file)
-            continue
-        path = Path(value)
-        if path.is_file():
-            found[_shown(path)] = _hash_file(path)
-        elif path.is_dir():
-            found[_shown(path)] = _hash_folder(path, exclude)
+        path, near = Path(value), roots[:1]
+        if spec in FAMILIES and checkpoint_file(path).is_file():
+            path = checkpoint_file(path)
+        if path.is_file() or path.is_dir():
+            content = _hash_file(path) if path.is_file() else _hash_folder(path, exclude)
+            name = _shown(path, near)
+            found[name if found.get(name, content) == content else str(path.resolve())] = content
     return found
 
 
-def _sources(spec: str, make: Callable[..., Policy]) -> list[Path]:
-    """Return the policy's own Python files: the file of its class, and the files beside it that it imports."""
+def location_free(spec: str) -> str:
+    """Return a policy's specification with a file's name instead of its path; its files say which one it is."""
+    where, colon, name = spec.rpartition(":")
+    return f"{Path(where).name}:{name}" if colon and where.endswith(".py") else spec
+
+
+def _sources(spec: str, make: Callable[..., Policy]) -> tuple[list[Path], list[Path]]:
+    """Return the policy's own Python files, that of its class and those that it imports, and the roots of imports."""
     where = spec.rpartition(":")[0] or make.__module__
     if where.partition(".")[0] == "roboxim_policies":
-        return []
+        return [], []
     first = Path(where if where.endswith(".py") else sys.modules[where].__file__ or inspect.getfile(make)).resolve()
     root = first.parent
     while (root / "__init__.py").is_file():  # absolute imports start from the folder of the outermost package
@@ -80,7 +85,7 @@ def _sources(spec: str, make: Callable[..., Policy]) -> list[Path]:
         if file not in found:
             found.add(file)
             queue += _imported(file, roots, only)
-    return sorted(found)
+    return sorted(found), roots
 
 
 def _imported(file: Path, roots: list[Path], only: str) -> Iterator[Path]:
@@ -112,10 +117,11 @@ def _files_of(parts: list[str], roots: list[Path]) -> Iterator[Path]:
                     yield path.resolve()
 
 
-def _shown(path: Path) -> str:
-    """Return a file's path relative to the working directory, if it is inside."""
+def _shown(path: Path, roots: list[Path]) -> str:
+    """Return a path relative to the first of the folders that it is in, else its folder and name."""
     path = path.resolve()
-    return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
+    inside = next((root for root in roots if path.is_relative_to(root)), path.parent.parent)
+    return path.relative_to(inside).as_posix()
 
 
 def _hash_file(path: Path) -> str:

@@ -76,6 +76,26 @@ def test_a_file_or_folder_that_an_option_names(folder):
     assert set(policy_files("mine.py:Mine", {"checkpoint": "weights/a.bin"})) == OWN | {"weights/a.bin"}
 
 
+def test_a_policy_is_the_same_from_every_working_directory(folder, monkeypatch):
+    (folder / "weights").mkdir()
+    (folder / "weights" / "a.bin").write_bytes(b"a")
+    before = policy_files("mine.py:Mine", {"checkpoint": "weights/a.bin"})
+    monkeypatch.chdir(folder.parent)
+    path = f"{folder.name}/mine.py:Mine"
+    assert policy_files(path, {"checkpoint": f"{folder.name}/weights/a.bin"}) == before
+    assert identity.location_free(path) == "mine.py:Mine"
+    assert identity.location_free("module:Mine") == "module:Mine"
+
+
+def test_two_files_of_one_name_both_count(folder):
+    for name in ("x/w/a.bin", "y/w/a.bin"):
+        (folder.parent / "far" / name).parent.mkdir(parents=True)
+        (folder.parent / "far" / name).write_bytes(name.encode())
+    far = str(folder.parent / "far")
+    found = policy_files("mine.py:Mine", {"checkpoint": f"{far}/x/w/a.bin", "kind": f"{far}/y/w/a.bin"})
+    assert set(found) == OWN | {"w/a.bin", f"{far}/y/w/a.bin"}
+
+
 def test_of_a_trained_policy_only_the_checkpoint_counts(folder):
     (folder / "bc").mkdir()
     (folder / "bc" / "checkpoint.npz").write_bytes(b"1")
@@ -101,5 +121,4 @@ def test_an_installed_package_is_followed_no_further_than_itself(tmp_path, monke
     (site / "heavy.py").write_text("")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [str(site), *sys.path])
-    prefix = "lib/site-packages/plugin/"
-    assert set(policy_files("plugin.policy:Mine", {})) == {f"{prefix}{n}.py" for n in ("__init__", "policy", "net")}
+    assert set(policy_files("plugin.policy:Mine", {})) == {f"plugin/{n}.py" for n in ("__init__", "policy", "net")}

@@ -6,7 +6,7 @@ import contextlib
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from roboxim_core.episode import EpisodeResult, RunConfig, episode_id
 from roboxim_core.episode.records import WORKER_DIED
 from roboxim_core.seeds import SeedPath
 from roboxim_core.shards import Shard
+from roboxim_policies.identity import location_free
 from roboxim_runs.episodes.staging import clear_staging, take_over
 from roboxim_runs.events import EpisodeFinished, OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation, Done, Executor, LocalExecutor, Lost, Note, Work
@@ -91,7 +92,7 @@ class EpisodesJob:
             **({"shard": str(self.shard)} if str(self.shard) else {}),
             **({"store": self.store} if self.store else {}),
             "renderer": self.renderer,
-            "policies": [to_plain(launch) for launch in self.policies],
+            "policies": [to_plain(replace(one, spec=location_free(one.spec))) for one in self.policies],
             **({"policy_files": dict(self.policy_files)} if self.policy_files else {}),
             **({"definitions": dict(self.definitions)} if self.definitions else {}),
             **self.server,

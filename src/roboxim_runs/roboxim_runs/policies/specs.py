@@ -18,7 +18,7 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.policies import Policy
 from roboxim_policies import POLICIES
 from roboxim_policies.base import find_policy, load_policy, require_arguments
-from roboxim_policies.identity import policy_files
+from roboxim_policies.identity import location_free, policy_files
 from roboxim_policies.learning.checkpoint_file import checkpoint_file, read_description
 from roboxim_policies.learning.families import FAMILIES
 from roboxim_policies.remote import SERVERS_OWN, RemotePolicy
@@ -140,7 +140,7 @@ class ChosenPolicy(PolicySpec):
 
     def identity(self, out: Path) -> dict[str, Any]:
         """Return what defines the policy: its specification, options and files; see `files`."""
-        return {"spec": self.spec, "options": self.options, "files": self.files(out)}
+        return {"spec": location_free(self.spec), "options": self.options, "files": self.files(out)}
 
 
 def choose_policies(

@@ -66,7 +66,7 @@ def test_an_instance_and_copies_of_it_answer_several_workers(monkeypatch):
     mine = Counting(step=0.002)
     (chosen,) = find_policies([mine])
     assert (chosen.name, chosen.is_checkpoint) == ("Counting", False)
-    assert list(chosen.files(None)) == ["src/roboxim_runs/tests/policies/test_here.py"]
+    assert list(chosen.files(None)) == ["test_here.py"]
     with OwnServer(chosen.own) as server:
         one, two = served(server, monkeypatch), served(server, monkeypatch)
         assert [first_dx(one), first_dx(one), first_dx(two)] == pytest.approx([0.002, 0.004, 0.002])
