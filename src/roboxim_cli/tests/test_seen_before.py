@@ -50,6 +50,8 @@ def test_a_task_is_described_in_words():
     assert "varies        lights: intensity 1.6 to 3" in said
     assert "lift_m 0.05" in said
     assert "cells, " in run("tasks", "show", "camera_skill_baseline").output
+    assert "arguments     direction clockwise, counter-clockwise" in run("tasks", "show", "rotate").output
+    assert "drawer top, open_m 0.12" in run("tasks", "show", "drawer_chain").output
 
 
 def test_a_scene_and_a_misspelt_name(tmp_path):

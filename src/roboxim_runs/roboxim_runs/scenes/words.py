@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from roboxim_core.config import to_plain
@@ -11,7 +11,7 @@ from roboxim_runs.episodes.task_choice import named_task
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.lights import LampsConfig
 from roboxim_tasks.config import TaskMix, parse_task_config
-from roboxim_tasks.task_config import TaskConfig
+from roboxim_tasks.task_config import StepConfig, TaskConfig
 
 CELLS = 20
 """Number of cells of a mix that are listed."""
@@ -57,12 +57,15 @@ def _lines(config: TaskConfig) -> Iterator[str]:
         about = ", ".join(role if own == role else f"{own}: {role}" for own, role in step.roles.items())
         words = " | ".join(map(str, step.templates.values if step.templates else ()))
         yield f"step {number:<8} {step.skill} ({about}): {words}"
-        yield f"              {_thresholds(step.parameters) or 'no thresholds'}"
+        yield f"              {_thresholds(step) or 'no thresholds'}"
+        if step.arguments:
+            yield f"              {_choices(step.arguments)}"
     if config.steps:
         yield f"order         {'any' if config.order == 'any' else 'fixed: a step done before its turn does not count'}"
     for role, thing in config.objects.items():
-        modifiers = "; ".join(f"{name} {_choice(choice)}" for name, choice in thing.modifiers.items())
-        yield f"{role:<13} {_choice(thing.models)}{f' ({modifiers})' if modifiers else ''}"
+        yield f"{role:<13} {_choice(thing.models)}{f' ({_choices(thing.modifiers)})' if thing.modifiers else ''}"
+    if config.arguments:
+        yield f"arguments     {_choices(config.arguments)}"
     others = config.distractors
     if others.maximum:
         yield f"distractors   {others.minimum} to {others.maximum} of {_choice(others.models)}"
@@ -74,7 +77,7 @@ def _lines(config: TaskConfig) -> Iterator[str]:
         if varied := list(_varied(section)):
             yield f"varies        {name}: {'; '.join(varied)}"
     if not config.steps:
-        yield f"thresholds    {_thresholds(config.parameters) or 'none'}"
+        yield f"thresholds    {_thresholds(config) or 'none'}"
     if config.limits is not None:
         crossed = "crossing one fails" if config.limits.fail else "success does not depend on them"
         limits = ", ".join(
@@ -85,10 +88,10 @@ def _lines(config: TaskConfig) -> Iterator[str]:
     yield f"rate          {config.rate_hz:g} Hz, at most {config.max_steps} steps"
 
 
-def _thresholds(parameters: Any) -> str:
-    return ", ".join(
-        f"{key} {value:g}" for key, value in to_plain(parameters).items() if type(value) is float and value
-    )
+def _thresholds(given: TaskConfig | StepConfig) -> str:
+    """Return the thresholds of a skill, and its words that no argument draws."""
+    values = {key: value for key, value in to_plain(given.parameters).items() if key not in given.arguments and value}
+    return ", ".join(f"{key} {_value(value)}" for key, value in values.items() if type(value) in (float, str))
 
 
 def _is_limit(key: str, value: Any) -> bool:
@@ -107,6 +110,10 @@ def _varied(section: Any, path: str = "") -> Iterator[str]:
                     yield f"{where} {_choice(item)}"
             else:
                 yield from _varied(item, where)
+
+
+def _choices(choices: Mapping[str, Choice]) -> str:
+    return "; ".join(f"{name} {_choice(choice)}" for name, choice in choices.items())
 
 
 def _choice(choice: Choice | VectorChoice) -> str:
