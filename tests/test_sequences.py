@@ -16,8 +16,7 @@ from roboxim_core.specs import EntitySpec, TaskSpec
 from roboxim_tasks.config import load_task_config, parse_task_config
 from roboxim_tasks.meaning import asks_for_same, read_instruction
 from roboxim_tasks.sampling.episodes import EpisodeGenerator
-from roboxim_tasks.sequences import steps_of, words_of
-from roboxim_tasks.sequences.steps import arguments_of, own_objects
+from roboxim_tasks.sequences.steps import arguments_of, own_objects, steps_of, words_of
 
 SHIPPED = ("two_steps", "tidy_up", "drawer_chain")
 DRAWN = SeedPath(run_seed=7, purpose="demo", index=0)

@@ -17,7 +17,7 @@ from roboxim_tasks.motion import RELEASE_CLEARANCE_M, points_down, shifted
 from roboxim_tasks.reach import follows
 from roboxim_tasks.roles import Role
 from roboxim_tasks.script import APPROACH_M
-from roboxim_tasks.sequences import Sequence, skill_of
+from roboxim_tasks.sequences.skill import Sequence, skill_of
 from roboxim_tasks.skills import SKILLS, Skill
 from roboxim_tasks.task_config import ObjectConfig, TaskConfig
 

@@ -24,7 +24,7 @@ from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.roles import SPOKEN, Role
 from roboxim_tasks.sampling.exclusions import MODEL, all_excluded
-from roboxim_tasks.sequences import skill_of
+from roboxim_tasks.sequences.skill import skill_of
 from roboxim_tasks.skills import SKILLS, Skill
 from roboxim_tasks.task_config import DistractorConfig, ObjectConfig, StepConfig, TaskConfig
 

@@ -39,8 +39,8 @@ from roboxim_tasks.checks import (
 from roboxim_tasks.choices import Choice
 from roboxim_tasks.components import COMPONENTS
 from roboxim_tasks.fixed_scene import FIXED, fixed_task_config
-from roboxim_tasks.sequences import skill_of
 from roboxim_tasks.sequences.configuring import with_steps
+from roboxim_tasks.sequences.skill import skill_of
 from roboxim_tasks.skills import SKILLS, Skill
 from roboxim_tasks.skills.from_file import is_skill_file, load_skill_file
 from roboxim_tasks.task_config import ObjectConfig, TaskConfig, with_members

@@ -21,7 +21,8 @@ from roboxim_tasks.measures import (
     toppled,
 )
 from roboxim_tasks.roles import STAY, task_distractors
-from roboxim_tasks.sequences import skill_of, steps_of
+from roboxim_tasks.sequences.skill import skill_of
+from roboxim_tasks.sequences.steps import steps_of
 
 
 class Judge:

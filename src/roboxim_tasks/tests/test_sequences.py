@@ -146,3 +146,22 @@ reset: {cameras: {names: []}}
         task_config(parse_yaml(text.replace("reset: {", "reset: {toppled: {roles: target}, ")))
     with pytest.raises(ConfigError, match=r"reset\.distractors.*near: is the distance from the role 'target', and"):
         task_config(parse_yaml(text.replace("reset: {", "reset: {distractors: {near: {}}, ")))
+
+
+def test_the_joints_of_every_step_are_drawn_as_what_the_task_is_about(generator, seed_path, library):
+    text = """
+steps:
+- {skill: flip_switch, roles: {target: switch}}
+- {skill: turn_knob, roles: {target: knob}}
+objects: {switch: {models: [switch]}, knob: {models: [knob]}}
+reset: {cameras: {names: []}, joints: {target: [0.5], others: [0.0], roles: {switch: {target: [1.0]}}}}
+"""
+    scene = generator.draw(seed_path(0), task_config(parse_yaml(text))).scene
+    found = {}
+    for name in ("switch", "knob"):
+        (joint,) = library.object(name).joints
+        position = scene.entity(name).joint_positions[joint.name]
+        found[name] = (position - joint.lower) / (joint.upper - joint.lower)
+    assert found == pytest.approx({"switch": 1.0, "knob": 0.5})
+    with pytest.raises(ConfigError, match=r"roles.lever: no such role; expected one of: knob, switch"):
+        task_config(parse_yaml(text.replace("{switch: {target: [", "{lever: {target: [")))

@@ -15,7 +15,7 @@ from roboxim_eval.report.course import ConditionCourse, explain_steps, what_happ
 from roboxim_recorder.bag import BagReader, BagTick
 from roboxim_tasks.judging import Judge
 from roboxim_tasks.measures import Condition, Conditions
-from roboxim_tasks.sequences import steps_of
+from roboxim_tasks.sequences.steps import steps_of
 from roboxim_tasks.skills import SKILLS
 
 

@@ -24,7 +24,7 @@ from roboxim_core.specs import CameraSpec, EntitySpec, LightSpec, LookSpec, Robo
 from roboxim_tasks.fixed_scene import FixedScene, FixedTask, FixedTaskConfig, fixed_task_config
 from roboxim_tasks.limits import limits_of
 from roboxim_tasks.roles import DISTRACTOR, GENERAL, STAY
-from roboxim_tasks.sequences import is_sequence
+from roboxim_tasks.sequences.steps import is_sequence
 from roboxim_tasks.skills import SKILLS
 from roboxim_tasks.task_config import VisibleConfig
 

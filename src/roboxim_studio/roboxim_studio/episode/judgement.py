@@ -12,7 +12,7 @@ from roboxim_core.state import StateRecord
 from roboxim_core.verdicts import Verdict
 from roboxim_tasks.judging import Judge
 from roboxim_tasks.measures import Condition
-from roboxim_tasks.sequences import skill_of
+from roboxim_tasks.sequences.skill import skill_of
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,7 +30,7 @@ from roboxim_studio.panels.editor_forms import by_person
 from roboxim_studio.panels.task_form import TaskForm
 from roboxim_studio.serving.site import Site
 from roboxim_tasks.components import ResetContext
-from roboxim_tasks.sequences import is_sequence
+from roboxim_tasks.sequences.steps import is_sequence
 
 COUNTED = 20
 """Scenes that are drawn to count refusals."""

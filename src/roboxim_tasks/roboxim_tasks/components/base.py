@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
+from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.registry import Registry
@@ -181,6 +182,17 @@ class ResetComponent(ABC):
         Raises:
             RejectedError: When the draw violates a constraint of the component.
         """
+
+
+def require_roles(given: Iterable[str], roles: Sequence[str]) -> None:
+    """Refuse values of roles that a skill lacks.
+
+    Raises:
+        ConfigError: Naming the role and the skill's.
+    """
+    for role in given:
+        if role not in roles:
+            raise ConfigError(f"roles.{role}: no such role; {one_of(roles, role)}")
 
 
 COMPONENTS: Registry[type[ResetComponent]] = Registry("reset component")

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import SceneSpec
-from roboxim_tasks.components.base import ResetComponent, ResetContext, register
+from roboxim_tasks.components.base import ResetComponent, ResetContext, register, require_roles
 from roboxim_tasks.roles import task_objects
 from roboxim_tasks.sampling.placement import Demand, PlacementConfig, place
 from roboxim_tasks.task_config import TaskConfig
@@ -32,9 +31,7 @@ class ObjectsReset(ResetComponent):
     @classmethod
     def check(cls, config: ObjectsResetConfig, roles: Sequence[str], task: TaskConfig) -> None:
         """Refuse placements of roles that the skill lacks."""
-        for role in config.roles:
-            if role not in roles:
-                raise ConfigError(f"roles.{role}: no such role; {one_of(roles, role)}")
+        require_roles(config.roles, roles)
 
     def reset(self, scene: SceneSpec, context: ResetContext) -> SceneSpec:
         """Place each object apart from the others.

@@ -8,7 +8,7 @@ from roboxim_core.errors import PolicyError
 from roboxim_core.kinematics import ArmKinematics
 from roboxim_tasks.demonstration.solver import NoMotionError, Solution, Solver
 from roboxim_tasks.motion import ExpertScene, with_poses
-from roboxim_tasks.sequences import steps_of
+from roboxim_tasks.sequences.steps import steps_of
 from roboxim_tasks.skills import SKILLS
 
 

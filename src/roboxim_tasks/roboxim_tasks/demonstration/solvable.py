@@ -16,7 +16,7 @@ from roboxim_tasks.demonstration.reference import SpeedConfig
 from roboxim_tasks.demonstration.solver import NoMotionError, Solution, Solver
 from roboxim_tasks.motion import ExpertScene
 from roboxim_tasks.roles import task_distractors
-from roboxim_tasks.sequences import skill_of
+from roboxim_tasks.sequences.skill import skill_of
 
 CONSTRAINT = "solvable"
 """Name of the constraint for messages and statistics."""

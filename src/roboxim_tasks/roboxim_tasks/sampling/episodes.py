@@ -25,7 +25,7 @@ from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.sampling.rejection import RejectedError
 from roboxim_tasks.sampling.scene_check import Finding, quick_findings, slow_findings
 from roboxim_tasks.sampling.visible import Visibility
-from roboxim_tasks.sequences import skill_of
+from roboxim_tasks.sequences.skill import skill_of
 from roboxim_tasks.task_config import TaskConfig
 
 CAUSES = {

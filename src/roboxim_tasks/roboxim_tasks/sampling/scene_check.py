@@ -16,7 +16,7 @@ from roboxim_tasks.roles import Wording
 from roboxim_tasks.sampling.placement import Room, footprint, overlap
 from roboxim_tasks.sampling.visible import CONSTRAINT as VISIBLE
 from roboxim_tasks.sampling.visible import SIZE_PX, Visibility
-from roboxim_tasks.sequences import skill_of
+from roboxim_tasks.sequences.skill import skill_of
 
 UNAMBIGUOUS = "instruction_unambiguous"
 
