@@ -55,7 +55,7 @@ from roboxim_runs.experiments.provenance import (
 )
 from roboxim_runs.experiments.report import STATE_FILE, ExperimentFolder, write_card, write_experiment_report
 from roboxim_runs.experiments.scene_leakage import scene_leakage
-from roboxim_runs.experiments.scenes.again import scenes_of
+from roboxim_runs.experiments.scenes.again import scenes_of, take_trainings
 from roboxim_runs.experiments.scenes.fresh import COMMITTED, in_scenes_of, store_seed
 from roboxim_runs.experiments.stages import Stages
 from roboxim_runs.experiments.trained.policies import (
@@ -225,6 +225,8 @@ def run_experiment(
 
 def _run_stages(run: _Run, training_executor: Executor | None) -> ExperimentResult:
     """Run the stages that a folder lacks; write the card when all are there."""
+    if run.config.fresh and run.config.trained:
+        take_trainings(checked_path(run.config.trained), run.out)
     run.open()
     if run.scenes is not None:
         store_seed(run.scenes, run.out)

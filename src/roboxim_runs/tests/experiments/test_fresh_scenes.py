@@ -19,6 +19,7 @@ from roboxim_runs.experiments.report import ExperimentFolder, card_page, reprodu
 from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment
 from roboxim_runs.experiments.scenes.again import _linked, attested_seed
 from roboxim_runs.experiments.scenes.fresh import COMMITTED, card_part, drawn_seed, in_scenes_of
+from roboxim_runs.storage.folder import locked
 
 
 @pytest.fixture
@@ -118,6 +119,10 @@ def test_trainings_of_another_run_are_refused(fakes, config, tmp_path):
     public = run_experiment(config(out=tmp_path / "public")).card
     with pytest.raises(ConfigError, match="has a run of its own"):
         run_experiment(config(out=tmp_path / "fresh", fresh=True, trained=tmp_path / "public"))
+    (tmp_path / "out").mkdir()
+    with locked(tmp_path / "out"), pytest.raises(ConfigError, match="another command is running"):
+        run_experiment(config(fresh=True, trained=tmp_path / "public"))
+    assert [file.name for file in (tmp_path / "out").iterdir()] == [".lock"]
     run_experiment(config(fresh=True, trained=tmp_path / "public"))
     path = tmp_path / "out/public_card.json"
     trainings = [{**t, "checkpoint_sha256": "another"} for t in public.plain["trainings"]]

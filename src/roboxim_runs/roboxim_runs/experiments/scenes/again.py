@@ -53,7 +53,7 @@ def scenes_of(
 ) -> SceneSeed | None:
     """Return the seed of a run's fresh scenes; none: its scenes are the public ones, or of a seed that was given.
 
-    It is not written into the folder, as the run may be refused yet; see `store_seed`.
+    Nothing is written into the folder, as the run may be refused yet; see `store_seed` and `take_trainings`.
 
     Args:
         out: The run's folder.
@@ -67,7 +67,7 @@ def scenes_of(
         ConfigError: When the folder has another seed, or the trainings are not to be had.
     """
     if fresh and trained is not None:
-        take_trainings(trained, out)
+        _folder_to_take(trained, out)
     elif trained is not None:
         shared = stored_seed(trained)
     if shared is not None:
@@ -83,7 +83,8 @@ def scenes_of(
 def take_trainings(source: Path, out: Path) -> None:
     """Put the demonstrations, datasets and trainings of a finished run into a new folder, for fresh scenes.
 
-    Files are linked where the file system allows it. A folder that has them already is not changed.
+    The caller holds the new folder's lock. Files are linked where the file system allows it. A folder that has them
+    already is not changed.
 
     Args:
         source: Folder of a run in the public scenes.
@@ -92,18 +93,9 @@ def take_trainings(source: Path, out: Path) -> None:
     Raises:
         ConfigError: When the source has no results, fresh scenes of its own, or the folder has another run.
     """
-    folder = ExperimentFolder.of(source)
-    if not (source / CARD_FILE).exists():
-        raise ConfigError(f"{source} has no {CARD_FILE}: finish its run first, 'roboxim experiment run' continues it")
-    card = folder_card(folder)
-    if card.fresh is not None or card.experiment.config.evaluate.seed:
-        raise ConfigError(f"{source} has fresh scenes itself; name the run in the public scenes")
-    if (out / PUBLIC_FILE).exists():
-        if read_json(out / PUBLIC_FILE).get("sha256") != card.sha256:
-            raise ConfigError(f"{out} has the trainings of another run; choose another output folder (--out)")
+    folder = _folder_to_take(source, out)
+    if folder is None:
         return
-    if (out / STAGES_FILE).exists():
-        raise ConfigError(f"{out} has a run of its own; choose another output folder (--out)")
     lines = {entry.data.get("stage", ""): entry for entry in ResultsLog(source / STAGES_FILE).read()}
     kept = [s.name for s in stages_of(folder.design) if s.part != "evaluate" and s.name in lines]
     for name in kept:
@@ -117,6 +109,27 @@ def take_trainings(source: Path, out: Path) -> None:
     if (source / ATTEST_FILE).exists():
         shutil.copy2(source / ATTEST_FILE, out / ATTEST_FILE)
     write_whole(out / PUBLIC_FILE, (source / CARD_FILE).read_text())
+
+
+def _folder_to_take(source: Path, out: Path) -> ExperimentFolder | None:
+    """Return the folder of a run whose trainings a folder may get; None: it has them.
+
+    Raises:
+        ConfigError: When it must not; see `take_trainings`.
+    """
+    folder = ExperimentFolder.of(source)
+    if not (source / CARD_FILE).exists():
+        raise ConfigError(f"{source} has no {CARD_FILE}: finish its run first, 'roboxim experiment run' continues it")
+    card = folder_card(folder)
+    if card.fresh is not None or card.experiment.config.evaluate.seed:
+        raise ConfigError(f"{source} has fresh scenes itself; name the run in the public scenes")
+    if (out / PUBLIC_FILE).exists():
+        if read_json(out / PUBLIC_FILE).get("sha256") != card.sha256:
+            raise ConfigError(f"{out} has the trainings of another run; choose another output folder (--out)")
+        return None
+    if (out / STAGES_FILE).exists():
+        raise ConfigError(f"{out} has a run of its own; choose another output folder (--out)")
+    return folder
 
 
 def _linked(source: str, target: str) -> None:
