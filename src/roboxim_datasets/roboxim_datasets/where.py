@@ -65,6 +65,11 @@ class Condition:
             raise InvalidRequestError(f"condition '{text}': '{sign}' compares numbers, got '{value}'")
         return Condition(key=key, sign=sign, values=values)
 
+    @property
+    def text(self) -> str:
+        """The condition as `parse` reads it."""
+        return f"{self.key}{self.sign}{','.join(self.values)}"
+
     def holds(self, facts: Mapping[str, Fact]) -> bool:
         """Return whether an episode meets the condition; an episode without the key meets only ``!=``."""
         found = facts.get(self.key, ())
@@ -107,6 +112,12 @@ class Edit:
             raise InvalidRequestError(f"an edit is 'trim EPISODE FIRST..LAST', e.g. trim {episode} 5..40; got '{text}'")
         return Edit(episode=episode, steps=(int(steps[1]), int(steps[2])))
 
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """The edit as `parse` reads it, a text for each kind of change."""
+        trim = f"trim {self.episode} {self.steps[0]}..{self.steps[1]}" if self.steps else ""
+        return tuple(filter(None, (trim, self.instruction and f"relabel {self.episode} {self.instruction}")))
+
     def require_within(self, length: int) -> tuple[int, int]:
         """Return the steps to keep of an episode with a number of steps.
 
@@ -115,7 +126,7 @@ class Edit:
         """
         first, last = self.steps or (0, length - 1)
         if last >= length:
-            raise InvalidRequestError(f"trim {self.episode} {first}..{last}: the episode has the steps 0..{length - 1}")
+            raise InvalidRequestError(f"{self.texts[0]}: the episode has the steps 0..{length - 1}")
         return first, last
 
 

@@ -12,7 +12,7 @@ from roboxim_core.specs import PhysicalObject, TaskSpec
 from roboxim_datasets.choosing import chosen_plan
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.rewrite import write_dataset
-from roboxim_datasets.where import Choice, Edit
+from roboxim_datasets.where import Choice, Condition, Edit
 
 
 @pytest.mark.parametrize("format", ["rlds", "hdf5"])
@@ -78,6 +78,9 @@ def test_edits_of_one_episode_add_up():
     choice = Choice.parse(["trim a 1..2", "relabel a b = c", "relabel=x", "trim a 2..3"])
     assert choice.edits == {"a": Edit(episode="a", steps=(2, 3), instruction="b = c")}
     assert [text for text, _ in choice.conditions] == ["relabel=x"]
+    assert choice.edits["a"].texts == ("trim a 2..3", "relabel a b = c")
+    assert Choice.parse(choice.edits["a"].texts).edits == choice.edits
+    assert [Condition.parse(text).text for text in ("steps < 9", "cell != a, b")] == ["steps<9", "cell!=a,b"]
 
 
 def test_conditions_can_name_the_recorded_task(tmp_path, write, episode_of):

@@ -21,7 +21,7 @@ from roboxim_policies.learning.augment import augmentation
 from roboxim_policies.learning.checkpoint import Checkpoint, load_checkpoint, policy_only
 from roboxim_policies.learning.data import Demonstration, Demonstrations, assemble, read_demonstrations
 from roboxim_policies.learning.features import PROPRIO_SIZE, GraspMemory, proprio_features, state_features, word_indices
-from roboxim_policies.learning.layers import TargetHead
+from roboxim_policies.learning.layers import TargetHead, turned
 from roboxim_policies.learning.points import PointEncoder
 from roboxim_policies.learning.policy import LearnedPolicy
 from roboxim_policies.learning.samples import Samples
@@ -367,14 +367,21 @@ def lived(proprio: np.ndarray, actions: np.ndarray, empty: float = 0.1) -> np.nd
     return np.stack(seen)
 
 
+def test_vectors_of_the_tool_and_of_the_base_turn_into_each_other_alike():
+    """Of a tool that points down, up to the sign of y: so actions of either frame are a sum of both."""
+    yaw, mirror = 0.7, np.array([1.0, -1.0])
+    down = np.array([[np.cos(yaw), np.sin(yaw)], [np.sin(yaw), -np.cos(yaw)]])  # x and y of the tool, in columns
+    vector, heading = jnp.array([0.3, -0.5]), jnp.array([np.cos(yaw), np.sin(yaw)])
+    for axes in (down, down.T):
+        np.testing.assert_allclose(turned(vector * mirror, heading), axes @ vector, atol=1e-6)
+
+
 def test_memory_tells_how_far_a_held_object_was_turned_and_that_it_was_put_down():
     seen = lived(*held_episode())
     assert not seen[:6].any()  # nothing was grasped yet
     assert seen[6:, 0].all()
-    turned = np.rad2deg(np.arctan2(seen[:, 6], seen[:, 7]))
-    assert turned[10] == pytest.approx(0, abs=1e-3)
-    assert turned[13] == pytest.approx(-45, abs=1e-3)
-    assert turned[18] == pytest.approx(-90, abs=1e-3)
+    angles = np.rad2deg(np.arctan2(seen[:, 6], seen[:, 7]))
+    assert angles[[10, 13, 18]] == pytest.approx([0, -45, -90], abs=1e-3)
     assert seen[18, 3] == pytest.approx(0.1)  # risen since the grasp
     assert seen[18, 8] == 0
     assert seen[19:, 8] == pytest.approx(0.1)  # opened: it was put down

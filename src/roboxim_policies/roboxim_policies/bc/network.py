@@ -7,7 +7,8 @@ instruction names. A common head predicts it again from all cameras and the robo
 receives that prediction, outputs a chunk of actions.
 
 A camera on the hand sees displacements in the tool's frame, a fixed camera in the base's. Horizontal displacements are
-therefore predicted as the sum of a vector in the base's frame and a vector in the tool's, which is turned by the yaw.
+therefore predicted as the sum of a vector in the frame of the actions and a vector in the other one, which is turned by
+the yaw (`turned`).
 """
 
 from __future__ import annotations

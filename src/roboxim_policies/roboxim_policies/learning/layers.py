@@ -59,7 +59,11 @@ class TargetHead(eqx.Module):
 
 
 def turned(vector: Array, heading: Array) -> Array:
-    """Turn vectors of the tool's frame to the base's, shape (..., 2), by cosine and sine of the yaw, shape (..., 2)."""
+    """Turn vectors of the tool's frame to the base's, shape (..., 2), by cosine and sine of the yaw, shape (..., 2).
+
+    Of a tool that points down, y is mirrored, and what is mirrored and turned twice is as it was: vectors of the base's
+    frame thus turn to the tool's in the same way, for actions in that frame.
+    """
     cos, sin = heading[..., 0], heading[..., 1]
     x, y = vector[..., 0], vector[..., 1]
     return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)

@@ -36,12 +36,9 @@ def selection_text(
     out, looked = sorted(left_out), sorted(flagged)
     lines = [f"{MADE}: {len(out)} of {total} episodes of {source} are left out."]
     lines += [f"{FLAG}{name}" for name in looked]
-    lines += [f"episode!={name}" for name in out]
+    lines += [Condition(key="episode", sign="!=", values=(name,)).text for name in out]
     for edit in sorted(edits, key=lambda one: one.episode):
-        if edit.steps:
-            lines.append(f"trim {edit.episode} {edit.steps[0]}..{edit.steps[1]}")
-        if edit.instruction:
-            lines.append(f"relabel {edit.episode} {edit.instruction}")
+        lines += edit.texts
     return "\n".join([*lines, *kept]) + "\n"
 
 

@@ -176,7 +176,7 @@ class Selection:
             return
         before = self._edit_of(shown.name)
         try:
-            Choice.parse([f"relabel {before.episode} {words}"] if words else [])
+            Choice.parse(Edit(episode=before.episode, instruction=words).texts)
         except RoboximError as error:
             self.show_message(str(error), alert=True)
             return
