@@ -10,7 +10,7 @@ A page's blocks run in their order, in one folder that is empty at the start:
   the background is ended after the last block;
 - ``python`` is a program, run by itself;
 - ``text`` is what the block above printed. A line ``...`` stands for any lines. Durations may differ, and after
-  ``text varies`` every number.
+  ``text varies`` every number. Lines that say what begins (``drawing ...``) are left out.
 
 ``<!-- from runs/scene.png -->`` behind a picture names the file that the page makes it from: it must be there at the
 end, and ``--write`` copies it.
@@ -36,6 +36,7 @@ FENCE = re.compile(r"^```([^\n`]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 TITLE = re.compile(r'\w+ title="([^"]+)"')
 PICTURE = re.compile(r"!\[[^\]]*\]\(([^)]+)\)\s*<!-- from (\S+) -->")
 NUMBER = r"-?\d[\d,]*(?:\.\d+)?"
+BEGINS = re.compile(r"^[a-z][a-z -]* \.\.\.\n", re.MULTILINE)
 DURATION = re.compile(rf"{NUMBER} ?(?:ms|s|min|h)\b|{NUMBER}/min")
 WIDTH_PX = 1200
 """Largest width of a picture that is copied."""
@@ -122,7 +123,7 @@ class Session:
             )  # fmt: skip
             self._groups.append(process.pid)
             process.wait()
-        text = printed.read_text()
+        text = BEGINS.sub("", printed.read_text())
         if process.returncode != 0:
             raise TutorialError(f"{block} failed with exit code {process.returncode}:\n{block.text}\n{text[-3000:]}")
         return text

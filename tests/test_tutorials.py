@@ -47,7 +47,7 @@ def test_files_variables_and_outputs(tmp_path: Path) -> None:
     text = (
         '```python title="a/b.py"\nprint(7)\n```\n```bash\nexport WORD=hello\n```\n'
         "```bash\necho $WORD\npython a/b.py\n```\n```text\nhello\n7\n```\n```python\nprint('took 3 s')\n```\n"
-        "```text\ntook 99.5 s\n```\n"
+        "```text\ntook 99.5 s\n```\n```bash\necho 'drawing objects ...' >&2; echo done\n```\n```text\ndone\n```\n"
     )
     page, folder = page_of(tmp_path, text)
     run_page(page, folder)

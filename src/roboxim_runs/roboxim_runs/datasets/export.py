@@ -112,7 +112,8 @@ def export_dataset(
             when the dataset exists, or when it does not pass the gate; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it
             cannot be written.
     """
-    target = checked_path(target)
+    checked_path(target)
+    target = expanded(target)  # as it was given, for what is printed
     sources = [expanded(path) for path in ([source] if isinstance(source, str | Path) else source)]
     reporter = Reporter(on_event, cancellation)
     for note in filter(None, map(unfinished, sources)):
@@ -138,9 +139,9 @@ def export_dataset(
 
     if gate:
         exporter = EXPORTERS[format]()
-        place = exporter.path(expanded(target), config if config is not None else exporter.config())
-        return gated(expanded(target), place, export, refusal, overwrite=overwrite)
-    return export(expanded(target), "overwrite" if overwrite else "keep")
+        place = exporter.path(target, config if config is not None else exporter.config())
+        return gated(target, place, export, refusal, overwrite=overwrite)
+    return export(target, "overwrite" if overwrite else "keep")
 
 
 def gated(

@@ -70,3 +70,9 @@ def test_the_parts_of_longer_runs_are_in_it(call, part, tmp_path, monkeypatch):
     monkeypatch.setattr(pretraining if call is _pretrain else sweeping, part, made)
     with pytest.raises(RoboximError, match="enough"):
         call("~/out")
+
+
+def test_an_export_names_its_dataset_as_it_was_given(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("roboxim_runs.datasets.export.export_bags", lambda form, sources, place, *_, **__: place)
+    assert export_dataset("rlds", "runs/demos", "data/octo") == Path("data/octo"), "the command prints it"
