@@ -31,6 +31,40 @@ def test_locks_install_from_any_index() -> None:
             assert "--hash=sha256:" in requirement, requirement
 
 
+def test_every_distribution_has_its_licences() -> None:
+    own = (ROOT / "LICENSE").read_text()
+    for pyproject in ROOT.glob("*/*/pyproject.toml"):
+        assert (pyproject.parent / "LICENSE").read_text() == own, "its build puts this file into the wheel"
+    texts = {path for pattern in PROJECT["project"]["license-files"] for path in ROOT.glob(pattern)}
+    assert set(ROOT.glob("config/**/LICENSE*")) < texts
+    meshes = [path for suffix in ("glb", "stl") for path in ROOT.glob(f"config/*/*/**/*.{suffix}")]
+    parts = {ROOT.joinpath(*path.relative_to(ROOT).parts[:3]) for path in meshes}
+    assert len(parts) > 10
+    assert [str(part) for part in parts if not (part / "LICENSE").is_file()] == [], "others made them"
+    said = {
+        "Redistribution and use": "BSD-3-Clause",
+        "Apache License": "Apache-2.0",
+        "MIT License": "MIT",
+        "zlib": "Zlib",
+    }
+    found = {name for text, name in said.items() if any(text in path.read_text() for path in texts)}
+    assert set(PROJECT["project"]["license"].split(" AND ")) == found == set(said.values())
+
+
+def test_pixi_names_every_library() -> None:
+    conda = {
+        "msgpack": "msgpack-python",
+        "opencv-python-headless": "opencv",
+        "pin": "pinocchio",
+        "ruamel-yaml": "ruamel.yaml",
+    }
+    pixi = tomllib.loads((ROOT / "pixi.toml").read_text())
+    named = pixi["dependencies"].keys() | pixi["pypi-dependencies"].keys()
+    required = {re.match(r"[\w-]+", one)[0] for one in PROJECT["project"]["dependencies"]}  # type: ignore[index]
+    own = {one for one in required if one.startswith(("ros-", "roboxim-"))} | {"pybullet-arm64"}
+    assert {conda.get(one, one) for one in required - own} - named == set()
+
+
 def test_root_installs_every_python_package() -> None:
     built = PROJECT["tool"]["hatch"]["build"]
     assert sorted(built["dev-mode-dirs"]) == [f"src/{name}" for name in PYTHON_PACKAGES]

@@ -33,7 +33,7 @@ from roboxim_runs.datasets.viewing import episode_of_bag
 from roboxim_runs.episodes.reenactment import Recorded, Reenactor
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
-from roboxim_runs.storage.folder import checked_path
+from roboxim_runs.storage.folder import path_as_given
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def corrupt(
         InvalidRequestError: On a rate out of range, or when no episode allows the fault.
         RecorderError: When the copy exists, the source is damaged, or the copy cannot be written.
     """
-    source, out = expanded(source), checked_path(out)
+    source, out = expanded(source), path_as_given(out)
     kinds = fault_kinds()
     if fault not in kinds:
         raise ConfigError(f"unknown fault '{fault}'; {one_of(kinds, fault)}")

@@ -21,7 +21,7 @@ from roboxim_recorder.export.lerobot import LeRobotConfig
 from roboxim_recorder.export.rlds import ExportConfig
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
-from roboxim_runs.storage.folder import RunFolder, checked_path, command_of, wanted_indices
+from roboxim_runs.storage.folder import RunFolder, command_of, path_as_given, wanted_indices
 
 REPLAY_FILE = "replay.json"
 """File beside a dataset that has passed or not passed the gate, with every episode and tick."""
@@ -112,8 +112,7 @@ def export_dataset(
             when the dataset exists, or when it does not pass the gate; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it
             cannot be written.
     """
-    checked_path(target)
-    target = expanded(target)  # as it was given, for what is printed
+    target = path_as_given(target)
     sources = [expanded(path) for path in ([source] if isinstance(source, str | Path) else source)]
     reporter = Reporter(on_event, cancellation)
     for note in filter(None, map(unfinished, sources)):

@@ -17,7 +17,7 @@ from roboxim_datasets.rewrite import Written, options_like, require_all_shards, 
 from roboxim_recorder.driven import DrivenDataset, is_driven
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
-from roboxim_runs.storage.folder import checked_path
+from roboxim_runs.storage.folder import path_as_given
 
 __all__ = ["Comparison", "Written", "compare_datasets", "convert_dataset", "merge_datasets", "split_dataset"]
 
@@ -187,7 +187,7 @@ def _write_like(
 def _write(
     plan: Plan, target: Path, format: str, options: Any, how: str, reporter: Reporter, **more: Any
 ) -> Written:  # fmt: skip
-    target = checked_path(target)
+    target = path_as_given(target)
     with (
         reporter.resumable("the same call or command continues it"),
         reporter.stage(f"writing {format}", sum(map(len, plan.values())), "episodes") as progress,

@@ -341,6 +341,16 @@ def checked_path(path: Path | str) -> Path:
     return expanded(path).resolve()
 
 
+def path_as_given(path: Path | str) -> Path:
+    """Return an output path as it was given, for what is printed; only ``~`` is replaced by the user's home.
+
+    Raises:
+        ConfigError: As `checked_path`.
+    """
+    checked_path(path)
+    return expanded(path)
+
+
 def make_folder(path: Path) -> None:
     """Create an output folder unless it exists.
 

@@ -51,9 +51,9 @@ def command(
     from roboxim_runs.episodes.pictures import write_contact_sheet
     from roboxim_runs.episodes.rerendering import RerenderConfig, find_bags, rerender
     from roboxim_runs.episodes.task_choice import camera_words
-    from roboxim_runs.storage.folder import checked_path
+    from roboxim_runs.storage.folder import path_as_given
 
-    bags, out = find_bags(sources), checked_path(out)
+    bags, out = find_bags(sources), path_as_given(out)
     for word in textures:
         if "=" not in word:
             raise ConfigError(f"--texture is SURFACE=NAME, e.g. table=marble, got '{word}'")
