@@ -254,6 +254,8 @@ def test_a_benchmarks_card_is_checked_through_its_experiments(card):
     schema = schema_of("benchmark_card")
     assert conforms(data, schema, schema) == ""
     assert check_benchmark_card(data).dimensions["object"].experiments == ("skill_object", "camera_object")
+    with pytest.raises(ConfigError, match="found 'benchmark-3'; of a benchmark's card, use 'benchmark report --from'"):
+        check_card(data)
     with pytest.raises(ConfigError, match="its dimensions do not follow"):
         check_benchmark_card({**data, "dimensions": {}})
     published = Reference(name="Octo", dimensions={"object": ReferenceScore(absolute=0.21)})

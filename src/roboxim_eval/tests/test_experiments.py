@@ -403,6 +403,9 @@ def test_a_budget_buys_the_smallest_difference_that_can_be_found():
     assert dear.replicates.count > cheap.replicates.count
     assert cost_of(design_of(dear), RATES).detectable < cost_of(design_of(cheap), RATES).detectable
     assert fitted(config(), RATES, 60.0) is None
+    one = config(evaluate={"per_cell": 20, "per_unseen_cell": 1})
+    for hours in (2, 3, 4, 6):
+        assert 1 <= fitted(one, RATES, hours * 3600).evaluate.per_unseen_cell <= 3, "0 would be as many as per_cell"
 
 
 # ------------------------------------------------------------------ planted policies

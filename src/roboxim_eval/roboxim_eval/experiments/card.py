@@ -311,6 +311,9 @@ def parse_card(data: Any, *, source: str = "card") -> Card:
     """
     if not is_card(data):
         found = data.get("schema") if isinstance(data, dict) else type(data).__name__
-        raise ConfigError(f"{source} is no card of schema {KNOWN}, found {found!r}; run 'experiment report DIR' again")
+        again = "run 'experiment report DIR' again"
+        if str(found).startswith("benchmark-"):
+            again = "of a benchmark's card, use 'benchmark report --from', or the card of one of its experiments"
+        raise ConfigError(f"{source} is no card of schema {KNOWN}, found {found!r}; {again}")
     card: Card = from_plain(data, Card, source=source)
     return card

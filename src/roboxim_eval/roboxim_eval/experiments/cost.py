@@ -343,11 +343,12 @@ def fitted(
         ConfigError: When the rate of so many trainings at a time was not measured.
     """
     found: list[tuple[bool, float, int, float, ExperimentConfig]] = []
+    unseen = config.evaluate.per_unseen_cell  # 0: as many as in the other cells
     for replicates, factor in itertools.product(REPLICATES, SCENES):
         evaluate = replace(
             config.evaluate,
             per_cell=max(1, round(factor * config.evaluate.per_cell)),
-            per_unseen_cell=round(factor * config.evaluate.per_unseen_cell),
+            per_unseen_cell=max(1, round(factor * unseen)) if unseen else 0,
         )
         sized = replace(config, replicates=replace(config.replicates, count=replicates), evaluate=evaluate)
         cost = cost_of(design_of(sized, trainer), rates, trainings)

@@ -58,7 +58,8 @@ def plan_lines(name: str, scale: str, design: Design, rates: Rates | None, train
         at_once = trainings_at_once(design, trainings)
         parallel = f", {at_once} at a time" if at_once > 1 else ""
         yield f"  trainings       {len(design.trainings)}, {steps}{parallel}{where}"
-    yield f"  rollouts        {design.rollouts:,} of {len(design.evaluations)} policies"
+    policies = "1 policy" if len(design.evaluations) == 1 else f"{len(design.evaluations)} policies"
+    yield f"  rollouts        {design.rollouts:,} of {policies}"
     cost = known_cost(design, rates, trainings)
     yield f"  time            {_unknown(design, rates, trainings) if cost is None else time_text(cost)}"
     if cost is not None and rates is not None:
@@ -134,7 +135,8 @@ def _power_lines(design: Design) -> Iterator[str]:
     many, worst = len(design.config.compare), detectable_drop(design, alone=True)
     if many > 1:
         smallest = "no drop" if worst is None else f"one to {100 * (0.8 - worst):.0f} %"
-        yield f"                  {smallest} if none of the other {many - 1} comparisons is found (Holm's adjustment)"
+        others = "the other comparison is not" if many == 2 else f"none of the other {many - 1} comparisons is"
+        yield f"                  {smallest} if {others} found (Holm's adjustment)"
     if replicates < MIN_REPLICATES:
         yield (
             f"  warning         fewer than {MIN_REPLICATES} trainings compare checkpoints, not ways to train; "

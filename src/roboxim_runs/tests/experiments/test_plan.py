@@ -39,6 +39,8 @@ def test_a_plan_says_counts_time_disk_and_power():
     unknown = "\n".join(plan_lines("skill_object", "laptop", design, None))
     assert "roboxim experiment calibrate" in unknown
     assert "GB" not in unknown
+    two = design_of(load_experiment("breadth", "laptop"))
+    assert "if the other comparison is not found (Holm's" in "\n".join(plan_lines("breadth", "laptop", two, None))
     smoke = design_of(load_experiment("skill_object", "smoke"))
     assert "compare checkpoints, not ways to train" in "\n".join(plan_lines("skill_object", "smoke", smoke, RATES))
 
