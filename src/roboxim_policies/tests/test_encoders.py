@@ -2,7 +2,6 @@
 
 import importlib.util
 import io
-import json
 import os
 import pickle
 import subprocess
@@ -134,10 +133,10 @@ def test_sentences_of_one_meaning_are_near_in_every_language():
 
 
 @needs_pretrained
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_features_are_computed_once_and_an_interrupted_computation_continues(tmp_path, monkeypatch):
     monkeypatch.setattr(feature_cache, "cache_dir", lambda: tmp_path)
-    images = {"wrist": np.random.default_rng(0).integers(0, 256, (70, 32, 32, 3), np.uint8)}
+    pictures = np.random.default_rng(0).integers(0, 256, (70, 32, 32, 3), np.uint8)
     told = []
 
     def stop(done, total):
@@ -146,16 +145,54 @@ def test_features_are_computed_once_and_an_interrupted_computation_continues(tmp
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        feature_cache.features_of(images, progress=stop)
+        feature_cache.features_of({"wrist": pictures}, progress=stop)
+    for file in (tmp_path / "features").glob("*/*.f16"):
+        with file.open("ab") as stream:
+            stream.write(b"half a row")  # as an interrupted process leaves it
     begun = []
-    found = feature_cache.features_of(images, progress=lambda done, total: begun.append(done))
+    found = feature_cache.features_of({"wrist": pictures}, progress=lambda done, total: begun.append(done))
     assert told == [(32, 70), (64, 70)]
     assert begun == [70]
     assert {name: array.shape for name, array in found.items()} == {
         "wrist/8": (70, 4, 4, 40),
         "wrist/16": (70, 2, 2, 112),
     }
-    expected = efficientnet.features(efficientnet.load_weights(), jnp.asarray(images["wrist"][60:], jnp.float32), (8,))
-    assert np.allclose(found["wrist/8"][60:], expected[8], atol=0.02)
-    feature_cache.features_of(images, progress=lambda done, total: pytest.fail("computed again"))
-    assert json.dumps(sorted(file.suffix for file in (tmp_path / "features").iterdir())) == '[".f16", ".f16", ".lock"]'
+    expected = efficientnet.features(efficientnet.load_weights(), jnp.asarray(pictures, jnp.float32), (8, 16))
+    for stride, array in expected.items():
+        assert np.allclose(found[f"wrist/{stride}"][:], array, atol=0.02)
+
+    again = {"other": pictures[5:20], "wrist": pictures[::-3]}  # another dataset that has some of the same pictures
+    shared = feature_cache.features_of(again, progress=lambda done, total: pytest.fail("computed again"))
+    assert np.array_equal(shared["other/8"][np.array([3, 0])], found["wrist/8"][[8, 5]])
+    assert np.array_equal(shared["wrist/16"][:], found["wrist/16"][::-3])
+
+
+@needs_pretrained
+@pytest.mark.thorough
+def test_trainings_that_begin_together_share_the_features_that_they_compute(tmp_path, monkeypatch):
+    monkeypatch.setattr(feature_cache, "cache_dir", lambda: tmp_path)
+    pictures = np.random.default_rng(1).integers(0, 256, (96, 32, 32, 3), np.uint8)
+    computed = []
+
+    def other(done, total):  # another process, while the first is at work
+        computed.append(done)
+        if done < total:
+            feature_cache.features_of({"wrist": pictures})
+
+    found = feature_cache.features_of({"wrist": pictures}, progress=other)
+    assert computed[-1] == 96
+    assert len(computed) <= 2  # at its second batch it finds that all are there
+    monkeypatch.setattr(feature_cache, "cache_dir", lambda: tmp_path / "alone")
+    alone = feature_cache.features_of({"wrist": pictures})
+    for name, features in alone.items():
+        assert np.array_equal(features[:], found[name][:])  # whatever was encoded together
+
+
+@needs_pretrained
+def test_features_do_not_depend_on_what_is_encoded_together():
+    pictures = np.random.default_rng(2).integers(0, 256, (32, 64, 64, 3), np.uint8)
+    order = np.random.default_rng(3).permutation(32)
+    for there, here in zip(
+        feature_cache.encode(pictures[order]).values(), feature_cache.encode(pictures).values(), strict=True
+    ):
+        assert np.array_equal(np.asarray(there), np.asarray(here)[order])
