@@ -27,7 +27,6 @@ from roboxim_core import limits
 from roboxim_core.config_folders import config_dir, config_dirs, named_config
 from roboxim_core.errors import ConfigError, RoboximError, one_of
 from roboxim_core.plain_data.documents import LocatedList, LocatedMap, line_of, parse_json, parse_yaml, read_text
-from roboxim_core.plain_data.pictures import with_whole_paths
 from roboxim_core.poses import Pose
 from roboxim_core.rotation.quaternions import quat_from_euler
 
@@ -318,12 +317,12 @@ def section_of(data: Any, path: Iterable[str | int]) -> tuple[Any, str]:
 
 
 def load_yaml(path: Path | str) -> Any:
-    """Read a YAML file, keeping line numbers for messages; textures that are files get their whole paths.
+    """Read a YAML file, keeping line numbers for messages.
 
     Raises:
         ConfigError: When the file is missing, is not YAML, or exceeds the bounds of `roboxim_core.limits`.
     """
-    return with_whole_paths(parse_yaml(read_text(path), source=str(path)), Path(path).parent)
+    return parse_yaml(read_text(path), source=str(path))
 
 
 def load_config(path: Path | str, cls: type[T]) -> T:

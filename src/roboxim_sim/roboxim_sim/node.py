@@ -29,10 +29,11 @@ from roboxim_interfaces.srv import (
 
 from roboxim_core import limits
 from roboxim_core.actions import ActionArray, ActionSemantics
-from roboxim_core.config import from_json, load_config, named_config, to_json
+from roboxim_core.config import from_json, named_config, to_json
 from roboxim_core.errors import ErrorCode, RequestTimeoutError, SimError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
+from roboxim_core.plain_data.pictures import load_scenery
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
 from roboxim_core.vision.renderer import CameraImages, Renderer
@@ -97,7 +98,7 @@ class SimNode(SimServer):
         self._standard = StandardServices(self)
         self._motions = MotionActions(self)
         if self.config.scene:
-            self.load(load_config(named_config("scenes", self.config.scene), SceneSpec))
+            self.load(load_scenery(named_config("scenes", self.config.scene), SceneSpec))
 
     def destroy_node(self) -> None:
         """Free the world and the renderers."""

@@ -15,11 +15,12 @@ from pathlib import PurePath
 from typing import Any, ClassVar
 
 from roboxim_core import limits
-from roboxim_core.config import LocatedMap, line_of, load_yaml, located, named_config, parse_yaml
+from roboxim_core.config import LocatedMap, line_of, located, named_config, parse_yaml
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.plain_data.merging import merged
+from roboxim_core.plain_data.pictures import load_with_textures
 from roboxim_core.plain_data.wordings import KIND as WORDINGS
 from roboxim_core.plain_data.wordings import wordings_of
 from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
@@ -307,7 +308,7 @@ def task_mix(data: Any, *, source: str = "task mix", library: ModelLibrary | Non
             continue
         with document.section(("cells", number, "tasks", place)):
             path = named_config("tasks", name)
-        tasks[name] = located(load_yaml(path), str(path))
+        tasks[name] = located(load_with_textures(path), str(path))
         if "cells" in (tasks[name] or {}):
             raise document.error(
                 ("cells", number, "tasks", place), f"'{name}' is a mix itself; name tasks of one skill"
@@ -392,7 +393,7 @@ def load_task_config(name: str = DEFAULT_TASK, library: ModelLibrary | None = No
         ConfigError: When the file is missing or invalid.
     """
     path = named_config("tasks", name)
-    data = load_yaml(path)
+    data = load_with_textures(path)
     require_content(data, source=str(path))
     return any_task_config(data, source=str(path), library=library)
 

@@ -6,7 +6,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar, cast
 
-from roboxim_core.config import load_config, named_config
+from roboxim_core.config import config_dirs, named_config
+from roboxim_core.plain_data.pictures import load_scenery
 
 T = TypeVar("T")
 
@@ -18,9 +19,9 @@ def named(kind: str, name: str, cls: type[T]) -> T:
         ConfigError: When the file is missing or invalid.
     """
     path = named_config(kind, name)
-    return cast("T", _load(path, path.stat().st_mtime_ns, cls))  # type: ignore[arg-type]
+    return cast("T", _load(path, path.stat().st_mtime_ns, config_dirs(), cls))  # type: ignore[arg-type]
 
 
 @lru_cache(maxsize=64)
-def _load(path: Path, _mtime_ns: int, cls: type[object]) -> object:
-    return load_config(path, cls)
+def _load(path: Path, _mtime_ns: int, _folders: tuple[Path, ...], cls: type[object]) -> object:
+    return load_scenery(path, cls)

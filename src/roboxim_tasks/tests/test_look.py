@@ -140,8 +140,15 @@ def test_images_of_textures_are_relative_to_the_file_that_names_them(draw, tmp_p
     monkeypatch.chdir(tmp_path)
     for name, folder in (("own", "tasks"), ("by_look", "looks"), ("by_scene", "scenes")):
         texture = draw(0, load_task_config(name)).scene.look.table.texture
-        assert texture == str(own / folder / "green.png")
+        assert texture == f"config://{folder}/green.png", "the same wherever the folder lies"
         assert pixels(texture)[0, 0].tolist() == [0, 194, 0]
+    loose = tmp_path / "loose.yaml"
+    far = surface.replace("../tasks/green.png", "'./config #2/tasks/green.png'")
+    loose.write_text(far)
+    assert draw(0, load_task_config(str(loose))).scene.look.table.texture == "config://tasks/green.png"
+    monkeypatch.delenv("ROBOXIM_CONFIG_PATH")
+    assert draw(0, load_task_config(str(loose))).scene.look.table.texture == str(own / "tasks" / "green.png")
+    monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(own))
     (own / "tasks" / "own.yaml").write_text(f"skill: pick_up\n{surface.replace('green', 'red')}")
     with pytest.raises(ConfigError, match=r"texture: no such file: .*/tasks/red.png"):
         load_task_config("own")

@@ -1,13 +1,23 @@
-"""Paths of images in YAML files, which are relative to their file, wherever a command runs."""
+"""Textures that are images: how they are named, and where they are.
+
+A YAML file names an image relative to itself. Inside a folder of the search path (`config_dirs`) the image is then
+known by its place in that folder, e.g. ``config://looks/photo.png``, so that scenes and the hashes of configurations do
+not depend on where the folder lies. Other images are known by their whole paths.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from roboxim_core.config import from_plain, load_yaml
+from roboxim_core.config_folders import config_dirs
 from roboxim_core.user_folders import expanded
 
+T = TypeVar("T")
 TEXTURE = "texture"
+PLACE = "config://"
+"""Begin of the name of an image in a folder of the search path."""
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp")
 
 
@@ -16,22 +26,64 @@ def is_picture(texture: str) -> bool:
     return "/" in texture or Path(texture).suffix.lower() in IMAGES
 
 
-def with_whole_paths(data: Any, folder: Path) -> Any:
-    """Give the textures of YAML data that are files their whole paths; the data itself changes.
+def file_of(name: str) -> tuple[Path, str]:
+    """Return the file of a texture that is an image, and the geometry in it; empty: the file is the image.
 
     Args:
-        data: As returned by `roboxim_core.config.parse_yaml`.
+        name: See `texture_name`; the image of a geometry is ``<mesh file>#<geometry>``.
+    """
+    if not name.startswith(PLACE):
+        return _cut(name)
+    found = [_cut(str(folder / name.removeprefix(PLACE))) for folder in config_dirs()]
+    return next((one for one in found if one[0].is_file()), found[-1])
+
+
+def texture_name(texture: str, folder: Path) -> str:
+    """Return the name of a texture that a YAML file gives, the same from every working directory.
+
+    Args:
+        texture: Name of a built-in texture, the path of an image, or a name that this function has returned.
         folder: Folder of the YAML file.
     """
+    if texture.startswith(PLACE) or not is_picture(texture):
+        return texture
+    path = (folder / expanded(texture)).resolve()
+    for own in (one.resolve() for one in config_dirs()):
+        name = f"{PLACE}{path.relative_to(own).as_posix()}" if path.is_relative_to(own) else ""
+        if name and file_of(name)[0].resolve() == file_of(str(path))[0]:  # no other folder hides it
+            return name
+    return str(path)
+
+
+def load_with_textures(path: Path | str) -> Any:
+    """Read a YAML file as `load_yaml` does, with the names of its textures (`texture_name`).
+
+    Raises:
+        ConfigError: See `load_yaml`.
+    """
+    return _named(load_yaml(path), Path(path).parent)
+
+
+def load_scenery(path: Path | str, cls: type[T]) -> T:
+    """Read a scene, or another YAML file that may have textures, into a dataclass.
+
+    Raises:
+        ConfigError: When the file is missing, is not YAML, or does not fit the class.
+    """
+    data = load_with_textures(path)
+    return from_plain({} if data is None else data, cls, source=str(path))
+
+
+def _cut(name: str) -> tuple[Path, str]:
+    cuts = [place for place, letter in enumerate(name) if letter == "#"]  # a folder's name may have one, too
+    cut = next((place for place in cuts if Path(name[:place]).is_file()), len(name))
+    return Path(name[:cut]), name[cut + 1 :]
+
+
+def _named(data: Any, folder: Path, *, inside: bool = False) -> Any:
+    """Give the textures of plain data their names; the data itself changes, ``inside``: of a value of a texture."""
+    if isinstance(data, str):
+        return texture_name(data, folder) if inside else data
     for key, value in data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ():
-        data[key] = _whole(value, folder) if key == TEXTURE else with_whole_paths(value, folder)
+        data[key] = _named(value, folder, inside=inside or key == TEXTURE)
     return data
-
-
-def _whole(value: Any, folder: Path) -> Any:
-    """Return a texture, or the values that it may have, with whole paths."""
-    if isinstance(value, str):
-        return str((folder / expanded(value)).resolve()) if is_picture(value) else value
-    for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
-        value[key] = _whole(item, folder)
-    return value

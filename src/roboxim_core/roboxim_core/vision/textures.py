@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +16,7 @@ import numpy.typing as npt
 
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.mesh_files import Stamp, mesh_stamp, read_scene
+from roboxim_core.plain_data.pictures import file_of
 from roboxim_core.registry import Registry
 from roboxim_core.vision.srgb import to_linear
 
@@ -43,8 +43,8 @@ def pixels(name: str) -> Pixels:
     They are kept; a file that has changed is read again.
 
     Args:
-        name: A registered name; the path of an image file; or ``<mesh file>#<geometry>``, for the base colour image of
-            that geometry. Empty: white.
+        name: A registered name; that of an image (`texture_name`); or ``<mesh file>#<geometry>``, for the base colour
+            image of that geometry. Empty: white.
 
     Raises:
         ConfigError: When there is no such texture or image; the message lists the known ones.
@@ -55,13 +55,6 @@ def pixels(name: str) -> Pixels:
 def texture_stamp(name: str) -> Stamp:
     """Return times and sizes of a texture's files; empty for a registered name. Arguments as of `pixels`."""
     return mesh_stamp(file_of(name)[0]) if "/" in name else ()
-
-
-def file_of(name: str) -> tuple[Path, str]:
-    """Return the file of a texture that is named by a path, and the geometry in it; empty: the file is the image."""
-    cuts = [place for place, letter in enumerate(name) if letter == "#"]  # a folder's name may have one, too
-    cut = next((place for place in cuts if Path(name[:place]).is_file()), len(name))
-    return Path(name[:cut]), name[cut + 1 :]
 
 
 @lru_cache(maxsize=64)

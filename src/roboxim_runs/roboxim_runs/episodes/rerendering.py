@@ -24,6 +24,7 @@ from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
+from roboxim_core.plain_data.pictures import file_of
 from roboxim_core.recorded import recorded_parameters
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import RGB, CameraSpec, LightSpec, LookSpec, SceneSpec
@@ -89,7 +90,7 @@ class RerenderConfig:
     def files(self) -> dict[str, dict[str, str]]:
         """Images of textures with their hashes, for the run's configuration; empty: all textures are built-in."""
         named = {*map(picture_of, self.textures.values()), *(pictures_of(self.look) if self.look else ())} - {""}
-        return {"files": {path: file_sha256(Path(path)) for path in sorted(named)}} if named else {}
+        return {"files": {name: file_sha256(file_of(name)[0]) for name in sorted(named)}} if named else {}
 
     def scene(self, info: EpisodeInfo) -> SceneSpec:
         """Return an episode's scene with the changes applied.

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from roboxim_core.config import config_dirs, load_yaml, named_config, parse_yaml
+from roboxim_core.config import config_dirs, named_config, parse_yaml
 from roboxim_core.config_folders import config_dir, config_names, is_path
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data import yaml_text
 from roboxim_core.plain_data.documents import read_text
 from roboxim_core.plain_data.merging import merged
+from roboxim_core.plain_data.pictures import load_with_textures, texture_name
 from roboxim_core.seeds import CELL
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ def _reset_changes(
         surface, equals, name = word.partition("=")
         if not equals:
             raise ConfigError(f"--texture is SURFACE=NAME, e.g. table=marble, got '{word}'")
-        texture = str(Path(name).resolve()) if "/" in name else name
+        texture = texture_name(name, Path.cwd())
         section = changes.setdefault("surfaces", {}).setdefault(surface, {"texture": {"values": []}})
         section["texture"]["values"].append(texture)
     return changes
@@ -292,7 +293,7 @@ def _cells_by_view(skills: Sequence[str], *, by_look: bool) -> list[dict[str, An
 def _read(file: Path) -> tuple[str, str]:
     from roboxim_tasks.config import require_content
 
-    text, data = read_text(file), load_yaml(file)
+    text, data = read_text(file), load_with_textures(file)
     require_content(data, source=str(file))
     if data != parse_yaml(text):  # images are named relative to the file, which the text alone does not tell
         text = yaml_text.dump(yaml_text.plain(data))

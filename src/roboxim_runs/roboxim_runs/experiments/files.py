@@ -18,6 +18,7 @@ from roboxim_core.config import load_yaml, located, named_config, to_plain
 from roboxim_core.config_folders import config_names, is_path
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.merging import merged
+from roboxim_core.plain_data.pictures import load_with_textures
 from roboxim_eval.benchmark.config import BenchmarkConfig, benchmark_config, experiment_changes
 from roboxim_eval.experiments import Design, ExperimentConfig, design_of, experiment_config, mix_of
 from roboxim_eval.experiments.config import FULL
@@ -49,7 +50,7 @@ def load_experiment(
         ConfigError: When a file is missing or invalid, the scale is unknown, or the trainer cannot read a dataset.
     """
     path = named_config("experiments", name)
-    data = located(load_yaml(path), str(path))
+    data = located(load_with_textures(path), str(path))
     further = [Path(trainer).stem] if is_path(trainer) else []
     whole, config = (
         with_trainer(experiment_config(read, source=str(path), scale=chosen, trainers=further), trainer)
@@ -205,7 +206,7 @@ def load_benchmark(name: str) -> BenchmarkConfig:
         ConfigError: When the file is missing or invalid.
     """
     path = named_config("benchmark", name)
-    return benchmark_config(located(load_yaml(path), str(path)), source=str(path))
+    return benchmark_config(located(load_with_textures(path), str(path)), source=str(path))
 
 
 def benchmark_experiments(config: BenchmarkConfig, scale: str, trainer: str = "") -> dict[str, ExperimentConfig]:

@@ -11,9 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from roboxim_core.config import load_config, named_config
+from roboxim_core.config import named_config
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import render_world
+from roboxim_core.plain_data.pictures import load_scenery
 from roboxim_core.poses import look_at
 from roboxim_core.specs import CameraSpec, RobotSpec, SceneSpec
 from roboxim_runs.assets.sheet import contact_sheet
@@ -36,7 +37,7 @@ def draw_robots(robots: Sequence[str], pixels: int, renderer: str = "raster") ->
     library, pictures = ModelLibrary(), []
     name, eye, target, fov = CAMERA
     camera = CameraSpec(name=name, pose=look_at(eye, target), fov_y_rad=fov, width=pixels, height=pixels)
-    base = load_config(named_config("scenes", "empty_table"), SceneSpec)
+    base = load_scenery(named_config("scenes", "empty_table"), SceneSpec)
     drawing = make_renderer(renderer)
     with World(library) as world:
         for robot in robots:

@@ -14,9 +14,9 @@ from roboxim_core.config import digest, parse_yaml
 from roboxim_core.config_folders import config_names, is_path, named_config
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.plain_data.documents import read_text
+from roboxim_core.plain_data.pictures import file_of
 from roboxim_core.specs import LookSpec
 from roboxim_core.vision.looks import LookSet
-from roboxim_core.vision.textures import file_of
 from roboxim_runs.storage.store import file_sha256
 from roboxim_tasks.components.cameras import CamerasResetConfig
 from roboxim_tasks.components.look import LookResetConfig
@@ -55,7 +55,7 @@ def definitions_of(tasks: Sequence[TaskConfig], names: Iterable[str] = ()) -> di
             f"{kind.removesuffix('s')} {name}": digest(parse_yaml(read_text(named_config(kind, name))))
             for kind, name in sorted(files)
         },
-        **{f"file {path}": file_sha256(Path(path)) for path in sorted(content)},
+        **{f"file {path}": file_sha256(file_of(path)[0]) for path in sorted(content)},
         **{f"model {name}": library.digest(name) for name in sorted(models)},
     }
 
@@ -93,7 +93,7 @@ def _yaml_files(task: TaskConfig) -> Iterator[tuple[str, str]]:
 
 
 def _other_files(task: TaskConfig) -> Iterator[str]:
-    """Yield the paths of other files: the skill's, and images of textures."""
+    """Yield the names of other files: the skill's path, and images of textures."""
     yield task.skill_file.rpartition(":")[0] or task.skill_file
     yield from pictures_of(task.base_scene().look)
     look, surfaces = task.reset.get("look"), task.reset.get("surfaces")
@@ -106,13 +106,13 @@ def _other_files(task: TaskConfig) -> Iterator[str]:
 
 
 def pictures_of(look: LookSpec) -> Iterator[str]:
-    """Yield the paths of the images of a look's textures; empty: a built-in texture."""
+    """Yield the names of the images of a look's textures; empty: a built-in texture."""
     yield from (picture_of(getattr(look, surface).texture) for surface in SURFACES)
 
 
 def picture_of(texture: str) -> str:
-    """Return the path of a texture's image; empty: it is a built-in one."""
-    return str(file_of(texture)[0]) if "/" in texture else ""
+    """Return the name of a texture's image, which `file_of` finds; empty: it is a built-in one."""
+    return texture.removesuffix(f"#{file_of(texture)[1]}") if "/" in texture else ""
 
 
 def _models(task: TaskConfig) -> Iterator[str]:

@@ -12,12 +12,13 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from roboxim_bringup.cores import CorePlanner, CoreSegmentation
-from roboxim_core.config import load_config, load_yaml, named_config
+from roboxim_core.config import load_yaml, named_config
 from roboxim_core.config_folders import config_names
 from roboxim_core.episode import Draw
 from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import drawn_entities
+from roboxim_core.plain_data.pictures import load_scenery
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import CameraSpec, SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
@@ -225,7 +226,7 @@ def picture_of(
             first = next(iter(reader.ticks()))
             return painter.picture(reader.info.scene, reader.info.task, first.state), reader.info.task.instruction
         if is_scene:
-            scene = load_config(named_config("scenes", what), SceneSpec)
+            scene = load_scenery(named_config("scenes", what), SceneSpec)
             return painter.picture(scene), f"scene {what}: {len(scene.entities)} objects"
         text, _ = named_task(what, others=config_names("scenes"), **given)
         drawn = painter.draw(SeedPath(run_seed=seed, purpose="demo", index=0), parse_task_config(text))

@@ -78,7 +78,7 @@ def test_every_file_that_a_mix_names_is_among_its_definitions(own):
     after = definitions(own)
     assert {key for key in after if after[key] != before[key]} == {
         "camera workspace", "camera far", "scene bare", "look rooms", "light dusk", "wording pick_up", "task mine",
-        "model mug2", f"file {own / 'wood.png'}",
+        "model mug2", "file config://wood.png",
     }  # fmt: skip
     assert {key.partition(" ")[0] for key in after if after[key] == before[key]} == {"model"}, "the robot's"
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import roboxim_core.models.textures  # noqa: F401  (registers the objects' textures)
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.plain_data.pictures import file_of
 from roboxim_core.specs import MaterialSpec, SceneSpec
-from roboxim_core.vision.textures import ROOM_TEXTURES, TEXTURES, file_of
+from roboxim_core.vision.textures import ROOM_TEXTURES, TEXTURES
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.base import ResetComponent, ResetContext, register
 

@@ -48,6 +48,7 @@ def command(
     from roboxim_cli.options import parse_size
     from roboxim_cli.printer import EventPrinter
     from roboxim_core.errors import ConfigError
+    from roboxim_core.plain_data.pictures import texture_name
     from roboxim_runs.episodes.pictures import write_contact_sheet
     from roboxim_runs.episodes.rerendering import RerenderConfig, find_bags, rerender
     from roboxim_runs.episodes.task_choice import camera_words
@@ -65,7 +66,7 @@ def command(
         look=_look(look) if look else None,
         lights=lighting.lights if lighting else None, ambient=lighting.ambient if lighting else None,
         textures={
-            surface: str(Path(name).resolve()) if "/" in name else name
+            surface: texture_name(name, Path.cwd())
             for surface, _, name in (word.partition("=") for word in textures)
         },
         background=background or "",
@@ -93,16 +94,16 @@ def command(
 
 def _look(name: str) -> LookSpec:
     """Return a look of a set, ``SET/LOOK``, or the look of a scene."""
-    from roboxim_core.config import load_config, named_config
-    from roboxim_core.config_folders import config_names
+    from roboxim_core.config_folders import config_names, named_config
     from roboxim_core.errors import ConfigError, one_of
+    from roboxim_core.plain_data.pictures import load_scenery
     from roboxim_core.specs import SceneSpec
     from roboxim_core.vision.looks import LookSet
 
     looks, slash, one = name.partition("/")
     if not slash or looks not in config_names("looks"):
-        return load_config(named_config("scenes", name), SceneSpec).look
-    found = load_config(named_config("looks", looks), LookSet).looks
+        return load_scenery(named_config("scenes", name), SceneSpec).look
+    found = load_scenery(named_config("looks", looks), LookSet).looks
     if one not in found:
         raise ConfigError(f"set '{looks}' has no look '{one}'; {one_of(found, one)}")
     return found[one].look
