@@ -107,6 +107,7 @@ def experiment_page(page: ExperimentPage) -> str:
         forests=_forests(card, design, arms, link),
         emphasised=_has_primary(card),
         curve=_curve(card, link if page.checkpoints else no_link),
+        curve_of_seen=_curve_is_of_seen_cells(card, design),
         beside=[
             (f"{row.condition}.{row.replicate}", row.beside)
             for row in card.evaluations
@@ -372,6 +373,12 @@ def _curve(card: Card, link: Link) -> Any:
         for name, found in points.items()
     }
     return learning_curve(curves, lambda *point: link(arm=checkpoint_arm(*point))) if curves else None
+
+
+def _curve_is_of_seen_cells(card: Card, design: Design) -> bool:
+    """Return whether an experiment has held-out cells and its learning curve is of the others alone."""
+    unseen = {cell.key for cell in design.cells if cell.unseen}
+    return bool(unseen) and not any(unseen & row.by_cell.keys() for row in card.evaluations if row.checkpoint)
 
 
 def _transfer_chart(curve: TransferCurve, link: Link) -> Any:

@@ -118,6 +118,8 @@ def films_shown(episodes: Sequence[Episode], films: Mapping[int, Film]) -> str:
     """Return the number of shown films and of all films, in words."""
     failed = [number for number, e in enumerate(episodes) if not e.success]
     solved = len(episodes) - len(failed)
+    if len(films) == len(episodes) == 1:
+        return f"The only episode is shown: it {'succeeded' if solved else 'did not succeed'}."
     if len(films) == len(episodes):
         return f"All {len(episodes)} episodes are shown: {len(failed)} that did not succeed, {solved} that did."
     shown_failed = sum(number in films for number in failed)

@@ -117,6 +117,9 @@ def test_points_of_a_learning_curve_lead_to_episodes_of_their_own(tmp_path):
     folder = planted_folder(tmp_path / "run", PLANTED_RATES, text + "curve: {every: 4, per_checkpoint: 4}\n")
     page = write_experiment_report(folder, folder_card(folder)).read_text()
     assert '<a href="#episodes?arm=leave_out%404"><circle' in page
+    assert "Success in seen cells alone. The line is the mean" in page, (
+        "held-out cells are kept for the final evaluation"
+    )
     arms = Counter(episode.arm for episode in checkpoint_episodes(folder))
     assert arms["leave_out@4"] == arms["baseline@4"] == 4
     assert {e.arm for e in experiment_episodes(folder)} == {"leave_out", "baseline", "blind"}
