@@ -60,10 +60,18 @@ def policy_files(
     return found
 
 
-def location_free(spec: str) -> str:
-    """Return a policy's specification with a file's name instead of its path; its files say which one it is."""
-    where, colon, name = spec.rpartition(":")
-    return f"{Path(where).name}:{name}" if colon and where.endswith(".py") else spec
+def location_free(spec: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a policy's ``spec`` and ``options`` with a file's name instead of its path: its hash says which it is.
+
+    Args:
+        spec: See `load_policy`.
+        options: Keyword arguments of the class; of ``reworded``, its ``policy`` is a specification, too.
+    """
+    inner = options.get("policy")
+    if spec == "reworded" and isinstance(inner, str):
+        options = {**options, "policy": location_free(inner, {})["spec"]}
+    where, _, name = spec.rpartition(":")
+    return {"spec": f"{Path(where).name}:{name}" if where.endswith(".py") else spec, "options": dict(options)}
 
 
 def _sources(spec: str, make: Callable[..., Policy]) -> tuple[list[Path], list[Path]]:

@@ -83,8 +83,13 @@ def test_a_policy_is_the_same_from_every_working_directory(folder, monkeypatch):
     monkeypatch.chdir(folder.parent)
     path = f"{folder.name}/mine.py:Mine"
     assert policy_files(path, {"checkpoint": f"{folder.name}/weights/a.bin"}) == before
-    assert identity.location_free(path) == "mine.py:Mine"
-    assert identity.location_free("module:Mine") == "module:Mine"
+    found = identity.location_free("reworded", {"policy": path, "instruction": "Wave"})
+    assert found == {"spec": "reworded", "options": {"policy": "mine.py:Mine", "instruction": "Wave"}}
+    assert identity.location_free(path, {})["spec"] == "mine.py:Mine"
+    assert identity.location_free("module:Mine", {"policy": path}) == {
+        "spec": "module:Mine",
+        "options": {"policy": path},
+    }
 
 
 def test_two_files_of_one_name_both_count(folder):

@@ -92,7 +92,7 @@ class EpisodesJob:
             **({"shard": str(self.shard)} if str(self.shard) else {}),
             **({"store": self.store} if self.store else {}),
             "renderer": self.renderer,
-            "policies": [to_plain(replace(one, spec=location_free(one.spec))) for one in self.policies],
+            "policies": [to_plain(replace(one, **location_free(one.spec, one.options))) for one in self.policies],
             **({"policy_files": dict(self.policy_files)} if self.policy_files else {}),
             **({"definitions": dict(self.definitions)} if self.definitions else {}),
             **self.server,

@@ -15,7 +15,7 @@ import os
 import shutil
 import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Design, Stage, stages_of
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.fresh import SceneSeed
+from roboxim_policies.identity import location_free
 from roboxim_runs.events import Notice, OnEvent, ignore
 from roboxim_runs.executors import Cancellation, Executor, KeptProcesses
 from roboxim_runs.executors.protocol import as_json
@@ -364,8 +365,8 @@ class _Run:
         if self._lacks_what_it_ran_with(stage):
             return next((e.key for e in self.log.read() if e.data.get("stage") == stage.name), "")
         part = {"shard": self.config.shard} if self.config.shard else {}
-        policy_data = as_json(to_plain(policy)) if policy else None
-        return digest({"sha": stage.sha, "name": stage.name, "policy": policy_data, **self._start(stage), **part})
+        named = policy and as_json(to_plain(replace(policy, **location_free(policy.spec, policy.options))))
+        return digest({"sha": stage.sha, "name": stage.name, "policy": named, **self._start(stage), **part})
 
     def _lacks_what_it_ran_with(self, stage: Stage) -> bool:
         """Whether the policy that a stage evaluates is not named now, or the checkpoint that it begins with is gone."""

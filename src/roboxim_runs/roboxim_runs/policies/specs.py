@@ -140,7 +140,7 @@ class ChosenPolicy(PolicySpec):
 
     def identity(self, out: Path) -> dict[str, Any]:
         """Return what defines the policy: its specification, options and files; see `files`."""
-        return {"spec": location_free(self.spec), "options": self.options, "files": self.files(out)}
+        return {**location_free(self.spec, self.options), "files": self.files(out)}
 
 
 def choose_policies(

@@ -108,10 +108,13 @@ def test_a_changed_policy_file_is_refused_by_name(fakes, config, tmp_path, monke
     policy = tmp_path / "mine.py"
     policy.write_text("from roboxim_policies.builtin import RandomPolicy\n\nclass Mine(RandomPolicy):\n    pass\n")
     text, fakes.planted = GIVEN.format(task="pick_cube"), {("a", False): 1.0, ("b", False): 0.5}
-    run_experiment(config(text, policies=named_policies([f"a={policy}:Mine"])))
+    run_experiment(config(text, policies=named_policies(["a=mine.py:Mine"])))
+    monkeypatch.chdir(tmp_path.parent)
+    a = f"a={tmp_path.name}/mine.py:Mine"
+    run_experiment(config(text, policies=named_policies([a])))
     policy.write_text(policy.read_text() + "    version = 2\n")
     with pytest.raises(ConfigError, match="'evaluate/a.0' was finished with an earlier state.*mine.py has changed"):
-        run_experiment(config(text, policies=named_policies([f"a={policy}:Mine", "b=random"])))
+        run_experiment(config(text, policies=named_policies([a, "b=random"])))
 
 
 @pytest.mark.thorough
