@@ -48,7 +48,8 @@ def next_round(card: Card, demonstrations: int, condition: str = "") -> Round:
             trained condition of the primary comparison.
 
     Raises:
-        ConfigError: When the condition is not trained, or was not evaluated in all cells of its dataset.
+        ConfigError: When the condition is not trained, was not evaluated in all cells of its dataset, or is as weak in
+            all of them, so that both arms would be the same.
     """
     design = design_of_card(card)
     config = design.config
@@ -73,6 +74,11 @@ def next_round(card: Card, demonstrations: int, condition: str = "") -> Round:
     success = {cell: met[cell] for cell in cells}
     weights = {cell: (one.episodes - one.successes + 0.5) / (one.episodes + 1) for cell, one in success.items()}
     chosen, even = shared_out(demonstrations, weights), shared_out(demonstrations, dict.fromkeys(cells, 1.0))
+    if chosen == even and not rounds:
+        raise ConfigError(
+            f"'{condition}' is equally weak in all {len(cells)} cells of its dataset, so that both arms would have the "
+            "same demonstrations; choose another condition, a card with more cells, or more demonstrations"
+        )
     added = dict(zip(ARMS, (chosen, even), strict=True))
     replicates, where = config.replicates, datasets[ARMS[0]].cells
     return Round(

@@ -342,7 +342,8 @@ def compare(folders: tuple[Path, ...], condition: str, where: str | None, out: P
 
     models, cards = compared(folders, condition=condition, where=where or "")
     width = max(map(len, models.models))
-    click.echo(f"condition {models.condition}, {len(models.cells)} {models.where} cells")
+    where = "" if models.where == "all" else f"{models.where} "
+    click.echo(f"condition {models.condition}, {len(models.cells)} {where}cell{'s' * (len(models.cells) != 1)}")
     for name, model in models.models.items():
         rate = f"{100 * model.rate.value:.0f} % ({100 * model.rate.low:.0f} to {100 * model.rate.high:.0f})"
         trained = f"{model.trainings} training{'s' * (model.trainings != 1)}"
