@@ -176,6 +176,7 @@ def test_the_page_of_a_card_says_what_it_concludes(card):
     assert page.count('class="heat"') == 4, "an arm each, and the difference"
     assert page.count(' unseen"') >= 4 * 6, "held-out cells are framed"
     assert "combined: unseen verb with seen object" in page
+    assert "A cell is a combination of task and target. 6 of 18 are unseen" in page
     assert "words received" in page
     assert "1 check passed in all its episodes" in page, "what passed is one line"
     assert card.sha256 in page

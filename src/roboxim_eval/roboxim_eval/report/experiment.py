@@ -199,10 +199,11 @@ def _cells_line(design: Design) -> str:
     unseen = sum(cell.unseen for cell in design.cells)
     if not unseen:
         return ""
-    of = " and ".join(name.replace("_", " ") for name in design.cells[0].levels)
+    *rest, last = (name.replace("_", " ") for name in design.cells[0].levels)
+    of = f"combination of {', '.join(rest)} and {last}" if rest else f"level of {last}"
     return (
-        f"A cell is a combination of {of}. {unseen} of {len(design.cells)} are unseen, or held out: policies that "
-        "are to generalise were not trained in them."
+        f"A cell is a {of}. {unseen} of {len(design.cells)} {'is' if unseen == 1 else 'are'} unseen, or held out: "
+        "policies that are to generalise were not trained there."
     )
 
 
