@@ -7,9 +7,14 @@ change here.
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import re
+import sys
 from collections.abc import Callable, Iterator
+from hashlib import sha256
 from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
 from typing import Generic, TypeVar
 
 from roboxim_core.errors import ConfigError, one_of
@@ -145,3 +150,25 @@ def check_plugin(registry: Registry[T], name: str) -> None:
         ConfigError: Naming every failed check.
     """
     registry.check(name)
+
+
+def run_file(path: Path, name: str) -> ModuleType:
+    """Run a user's Python file as a module, which dataclasses and pickles of its classes find in ``sys.modules``.
+
+    Args:
+        path: The file.
+        name: Name of the module; where another file has it, a name made of it and the path.
+
+    Raises:
+        Exception: What the file raises.
+    """
+    path = path.absolute()
+    if name in sys.modules and getattr(sys.modules[name], "__file__", None) != str(path):
+        name = f"{name}_{sha256(str(path).encode()).hexdigest()[:8]}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module

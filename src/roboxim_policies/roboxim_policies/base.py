@@ -13,7 +13,6 @@ A policy is one class with one ``act`` method::
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import inspect
 import os
 import re
@@ -40,7 +39,7 @@ from roboxim_core.policies import (
     Policy,
     PolicyDescription,
 )
-from roboxim_core.registry import Registry
+from roboxim_core.registry import Registry, run_file
 
 POLICIES: Registry[Callable[..., Policy]] = Registry("policy")
 """Policies by name: classes or factories. Entry point group of plug-ins: ``roboxim.policy``."""
@@ -287,14 +286,8 @@ def _import_module(name: str) -> ModuleType:
 def _import_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise ConfigError(f"no such file: {path}")
-    module_spec = importlib.util.spec_from_file_location(path.stem, path)
-    if module_spec is None or module_spec.loader is None:
-        raise ConfigError(f"{path} is not a Python file")
-    module = importlib.util.module_from_spec(module_spec)
-    sys.modules.setdefault(path.stem, module)
     with _blaming(f"policy file {path} cannot be imported"):
-        module_spec.loader.exec_module(module)
-    return module
+        return run_file(path, path.stem)
 
 
 @contextmanager

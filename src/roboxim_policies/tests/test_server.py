@@ -1,6 +1,8 @@
 """Faults of a policy become specific errors, and a policy never receives data that it must not see."""
 
+import pickle
 import sys
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -186,6 +188,27 @@ def test_a_policy_is_loaded_from_a_module_and_from_a_file(tmp_path, monkeypatch)
         load_policy("no_such_module:Mine")
     with pytest.raises(ConfigError, match="did you mean 'random'"):
         load_policy("randm")
+
+
+def test_policies_of_two_files_of_one_name_keep_their_modules(tmp_path):
+    from roboxim_policies import load_policy
+
+    policies = {}
+    for place, more in {"a": "", "b": "from typing import ClassVar\n"}.items():
+        (tmp_path / place).mkdir()
+        (tmp_path / place / "twins.py").write_text(
+            f"from __future__ import annotations\nfrom dataclasses import dataclass\n{more}"
+            "from roboxim_policies import BasePolicy\n"
+            "@dataclass\nclass Mine(BasePolicy):\n"
+            f"    shared: {'ClassVar[int]' if more else 'int'} = 1\n"
+            "    def act(self, window):\n        return [0] * 7\n"
+        )
+        policies[place] = load_policy(f"{tmp_path / place}/twins.py:Mine")
+    assert [field.name for field in fields(policies["b"])] == [], "its annotations are read in the other's module"
+    for policy in policies.values():
+        assert type(pickle.loads(pickle.dumps(policy))) is type(policy)
+    for name in [name for name in sys.modules if name.startswith("twins")]:
+        del sys.modules[name]
 
 
 @pytest.mark.parametrize(
