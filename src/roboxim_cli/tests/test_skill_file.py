@@ -12,7 +12,8 @@ from roboxim_cli.main import group
 from roboxim_core.errors import ConfigError, TaskError
 from roboxim_core.models.check import check_object
 from roboxim_core.seeds import SeedPath
-from roboxim_runs.episodes.task_choice import task_text
+from roboxim_runs.episodes.task_choice import cells_of, task_text
+from roboxim_runs.scenes.definitions import definitions_of
 from roboxim_tasks.config import parse_task_config
 from roboxim_tasks.sampling.episodes import EpisodeGenerator
 from roboxim_tasks.skills import SKILLS, from_file
@@ -73,6 +74,23 @@ def test_a_skill_of_a_file_is_a_task_like_any_other(tmp_path, library):
     assert "Stack" in mixed.output
     file.write_text(SKILL + "\n# changed\n")
     assert task_text(skill=f"{file}:Touch", lights=["evening"]) != text, "a changed file would continue another run"
+
+
+def test_a_skill_in_the_users_folder_is_the_same_task_wherever_the_folder_lies(tmp_path, monkeypatch):
+    texts, names = [], []
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        (folder / "skills").mkdir(parents=True)
+        (folder / "skills/touch.py").write_text(SKILL)
+        monkeypatch.setenv("ROBOXIM_CONFIG_PATH", str(folder))
+        monkeypatch.setattr(SKILLS, "_items", {name: one for name, one in SKILLS._items.items() if name != "touch"})
+        monkeypatch.setattr(from_file, "_loaded", {})
+        texts.append(task_text(skill=f"{folder}/skills/touch.py:Touch"))
+        names.append(list(definitions_of(cells_of(texts[-1]))))
+        (folder / "task.yaml").write_text("skill: config://skills/touch.py:Touch\n")
+        names.append(list(definitions_of(cells_of(task_text(str(folder / "task.yaml"))))))
+    assert texts[0] == texts[1]
+    assert names[:2] == names[2:]
+    assert all("file config://skills/touch.py" in one for one in names)
 
 
 def test_distractors_of_a_skill_in_a_file_can_be_told_from_its_object(tmp_path):

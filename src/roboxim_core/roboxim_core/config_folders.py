@@ -12,6 +12,8 @@ from roboxim_core import limits
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.user_folders import expanded
 
+PLACE = "config://"
+"""Begin of the name of a file in a folder of the search path."""
 _PARENTS = tuple(Path(__file__).resolve().parents)
 
 
@@ -98,6 +100,29 @@ def named_config(kind: str, name: str) -> Path:
             if (path := folder / kind / f"{name}.yaml").is_file():
                 return path
     raise ConfigError(f"no '{name}' in config/{kind}; {one_of(config_names(kind), name)}")
+
+
+def place_name(path: Path) -> str:
+    """Return the name of a file in configurations, whose hashes must not depend on where the user's folders lie.
+
+    Returns:
+        In a folder of the search path its place there, e.g. ``config://looks/photo.png``, else the path as it is.
+    """
+    whole = path.resolve()
+    for own in (one.resolve() for one in config_dirs()):
+        if whole.is_relative_to(own):
+            name = f"{PLACE}{whole.relative_to(own).as_posix()}"
+            if place_file(name).resolve() == whole:  # no other folder hides it
+                return name
+    return str(path)
+
+
+def place_file(name: str) -> Path:
+    """Return the file of a name that `place_name` gives."""
+    if not name.startswith(PLACE):
+        return Path(name)
+    found = [folder / name.removeprefix(PLACE) for folder in config_dirs()]
+    return next((path for path in found if path.is_file()), found[-1])
 
 
 def is_path(name: str) -> bool:

@@ -43,7 +43,7 @@ from roboxim_tasks.fixed_scene import FIXED, fixed_task_config
 from roboxim_tasks.sequences.configuring import with_steps
 from roboxim_tasks.sequences.skill import skill_of
 from roboxim_tasks.skills import SKILLS, Skill
-from roboxim_tasks.skills.from_file import is_skill_file, load_skill_file
+from roboxim_tasks.skills.from_file import is_skill_file, load_skill_file, placed
 from roboxim_tasks.task_config import ObjectConfig, TaskConfig, with_members
 
 DEFAULT_TASK = "pick_cube"
@@ -71,7 +71,7 @@ def task_config(data: Any, *, source: str = "task configuration", library: Model
     config: TaskConfig = document.build(data, TaskConfig, ())
     if given := config.skill_file or (config.skill if is_skill_file(config.skill) else ""):
         with document.section(("skill",)):
-            config = replace(config, skill=load_skill_file(given), skill_file=given)
+            config = replace(config, skill=load_skill_file(given), skill_file=placed(given))
     config = with_steps(document, with_members(config, library))
     skill = skill_of(config)
     for role in config.objects:

@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from roboxim_core.config import from_plain, load_yaml
-from roboxim_core.config_folders import config_dirs
+from roboxim_core.config_folders import PLACE, place_file, place_name
 from roboxim_core.user_folders import expanded
 
 T = TypeVar("T")
 TEXTURE = "texture"
-PLACE = "config://"
-"""Begin of the name of an image in a folder of the search path."""
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp")
 
 
@@ -32,10 +30,9 @@ def file_of(name: str) -> tuple[Path, str]:
     Args:
         name: See `texture_name`; the image of a geometry is ``<mesh file>#<geometry>``.
     """
-    if not name.startswith(PLACE):
-        return _cut(name)
-    found = [_cut(str(folder / name.removeprefix(PLACE))) for folder in config_dirs()]
-    return next((one for one in found if one[0].is_file()), found[-1])
+    cuts = [place for place, letter in enumerate(name) if letter == "#"]  # a folder's name may have one, too
+    cut = next((place for place in cuts if place_file(name[:place]).is_file()), len(name))
+    return place_file(name[:cut]), name[cut + 1 :]
 
 
 def texture_name(texture: str, folder: Path) -> str:
@@ -47,12 +44,8 @@ def texture_name(texture: str, folder: Path) -> str:
     """
     if texture.startswith(PLACE) or not is_picture(texture):
         return texture
-    path = (folder / expanded(texture)).resolve()
-    for own in (one.resolve() for one in config_dirs()):
-        name = f"{PLACE}{path.relative_to(own).as_posix()}" if path.is_relative_to(own) else ""
-        if name and file_of(name)[0].resolve() == file_of(str(path))[0]:  # no other folder hides it
-            return name
-    return str(path)
+    path, geometry = file_of(str((folder / expanded(texture)).resolve()))
+    return place_name(path) + (f"#{geometry}" if geometry else "")
 
 
 def load_with_textures(path: Path | str) -> Any:
@@ -72,12 +65,6 @@ def load_scenery(path: Path | str, cls: type[T]) -> T:
     """
     data = load_with_textures(path)
     return from_plain({} if data is None else data, cls, source=str(path))
-
-
-def _cut(name: str) -> tuple[Path, str]:
-    cuts = [place for place, letter in enumerate(name) if letter == "#"]  # a folder's name may have one, too
-    cut = next((place for place in cuts if Path(name[:place]).is_file()), len(name))
-    return Path(name[:cut]), name[cut + 1 :]
 
 
 def _named(data: Any, folder: Path, *, inside: bool = False) -> Any:

@@ -237,10 +237,10 @@ def shares_text(mix: TaskMix, episodes: int) -> str:
 
 def _digest_of(spec: str) -> str:
     """Return the hash of a skill's file, and load it, so that its mistakes are found at once."""
-    from roboxim_tasks.skills.from_file import load_skill_file
+    from roboxim_tasks.skills.from_file import load_skill_file, skill_path
 
     load_skill_file(spec)
-    return hashlib.sha256(Path(spec.rpartition(":")[0] or spec).read_bytes()).hexdigest()
+    return hashlib.sha256(skill_path(spec).read_bytes()).hexdigest()
 
 
 def _words(text: str) -> list[str]:
@@ -250,7 +250,7 @@ def _words(text: str) -> list[str]:
 def _base(task: str, skills: Sequence[str], suite: str, *, whole: bool, by_look: bool) -> tuple[str, str]:
     """Return a task configuration's text and its source; ``whole`` and ``by_look`` choose the view of several."""
     from roboxim_tasks.skills import SKILLS
-    from roboxim_tasks.skills.from_file import is_skill_file
+    from roboxim_tasks.skills.from_file import is_skill_file, placed
 
     if suite:
         if task or skills:
@@ -263,9 +263,9 @@ def _base(task: str, skills: Sequence[str], suite: str, *, whole: bool, by_look:
     for skill in skills:
         if skill not in SKILLS and not is_skill_file(skill):
             raise ConfigError(f"unknown skill '{skill}'; {one_of(SKILLS, skill)}")
-    files = [skill for skill in skills if is_skill_file(skill)]
-    digests = "".join(f"# {skill}: sha256 {_digest_of(skill)}\n" for skill in files)  # a changed file is another run
-    skills = [f"{Path(skill).absolute()}" if skill in files else skill for skill in skills]
+    files = {skill: placed(skill) for skill in skills if is_skill_file(skill)}
+    digests = "".join(f"# {name}: sha256 {_digest_of(name)}\n" for name in files.values())  # a changed one: another run
+    skills = [files.get(skill, skill) for skill in skills]
     if len(skills) > 1:
         mix = {"cells": _cells_by_view(skills, by_look=by_look) if whole else [{"tasks": list(skills)}]}
         return digests + str(yaml.safe_dump(mix)), f"skills {', '.join(skills)}"

@@ -94,7 +94,7 @@ def _yaml_files(task: TaskConfig) -> Iterator[tuple[str, str]]:
 
 def _other_files(task: TaskConfig) -> Iterator[str]:
     """Yield the names of other files: the skill's path, and images of textures."""
-    yield task.skill_file.rpartition(":")[0] or task.skill_file
+    yield task.skill_file.rpartition(":")[0]
     yield from pictures_of(task.base_scene().look)
     look, surfaces = task.reset.get("look"), task.reset.get("surfaces")
     if isinstance(look, LookResetConfig) and look.set:

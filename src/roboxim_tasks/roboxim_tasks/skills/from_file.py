@@ -6,14 +6,14 @@ find it by ``ROBOXIM_SKILLS``, a list like ``PATH`` of such names, or by an entr
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
-import sys
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 
+from roboxim_core.config_folders import place_file, place_name
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.registry import run_file
 from roboxim_core.user_folders import expanded
 from roboxim_tasks.skills.base import SKILLS, Skill
 
@@ -32,6 +32,16 @@ def is_skill_file(text: str) -> bool:
     return bool(re.search(r"\.py(:\w+)?$", text))
 
 
+def skill_path(spec: str) -> Path:
+    """Return the file of a skill that is given as ``path/to/file.py:Class``."""
+    return expanded(place_file(_parts(spec)[0])).absolute()
+
+
+def placed(spec: str) -> str:
+    """Return how configurations name the skill of a file, the same from every working directory; see `place_name`."""
+    return f"{place_name(skill_path(spec))}:{_parts(spec)[1]}"
+
+
 def load_skill_file(spec: str) -> str:
     """Register the skill of a file, once for each process, and return its name.
 
@@ -41,21 +51,14 @@ def load_skill_file(spec: str) -> str:
     Raises:
         ConfigError: When there is no such file or class, the file raises, or the skill's name is taken.
     """
-    where, _, name = spec.rpartition(":") if not spec.endswith(".py") else (spec, "", "")
-    path = expanded(where).absolute()
+    path, name = skill_path(spec), _parts(spec)[1]
     if not path.is_file():
         raise ConfigError(f"no such file of a skill: {path}")
     if (path, name) in _loaded:
         return _loaded[path, name]
     before = set(SKILLS)
-    module_name = f"roboxim_skill_{path.stem}"
-    module_spec = importlib.util.spec_from_file_location(module_name, path)
-    assert module_spec is not None
-    assert module_spec.loader is not None
-    module = importlib.util.module_from_spec(module_spec)
-    sys.modules[module_name] = module  # dataclasses look up their annotations there
     try:
-        module_spec.loader.exec_module(module)
+        module = run_file(path, f"roboxim_skill_{path.stem}")
     except ConfigError:
         raise
     except Exception as error:  # the file's own code may raise anything
@@ -63,7 +66,7 @@ def load_skill_file(spec: str) -> str:
     classes = {
         key: value
         for key, value in vars(module).items()
-        if isinstance(value, type) and issubclass(value, Skill) and value.__module__ == module_name
+        if isinstance(value, type) and issubclass(value, Skill) and value.__module__ == module.__name__
     }
     if name not in classes:
         raise ConfigError(f"{path} has no skill '{name}'; name a class of it, {one_of(classes, name)}")
@@ -92,3 +95,8 @@ def load_named_by_environment() -> None:
     """
     for spec in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
         load_skill_file(spec)
+
+
+def _parts(spec: str) -> tuple[str, str]:
+    where, _, name = (spec, "", "") if spec.endswith(".py") else spec.rpartition(":")
+    return where, name
