@@ -199,10 +199,10 @@ class TransferCurve:
         first, last = self.points[0].number, self.points[-1].number
         bounds = "no interval from one training"
         if math.isfinite(self.change.low):
-            bounds = f"{100 * self.change.low:+.0f} to {100 * self.change.high:+.0f}"
+            bounds = f"{round(100 * self.change.low) + 0:+d} to {round(100 * self.change.high) + 0:+d}"
         yield (
             f"From {first} to {last} combinations, the success in held-out ones changes by "
-            f"{100 * self.change.value:+.0f} points ({bounds}; a straight line over the logarithm of their number), at "
+            f"{round(100 * self.change.value) + 0:+d} points ({bounds}; a straight line over the logarithm of their number), at "
             "equal numbers of demonstrations."
         )
         if self.enough is not None:

@@ -164,9 +164,11 @@ def public_warnings(card: Card) -> Iterator[str]:
 def public_text(card: Card) -> str:
     """Return the success in the public scenes minus that in fresh ones, in words; empty: it was not measured."""
     return "; ".join(
-        f"{one.condition} {100 * one.difference.value:+.0f} points ({100 * one.difference.low:+.0f} to "
-        f"{100 * one.difference.high:+.0f})"
+        f"{one.condition} {value:+d} points ({low:+d} to {high:+d})"
         for one in public_advantages(card)
+        for value, low, high in [
+            [round(100 * x) + 0 for x in (one.difference.value, one.difference.low, one.difference.high)]
+        ]
     )
 
 
