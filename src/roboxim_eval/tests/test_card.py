@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +23,9 @@ from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
 from roboxim_eval.report.experiment import ExperimentPage, experiment_page
 from roboxim_eval.report.markdown import benchmark_markdown, experiment_markdown
 from roboxim_eval.report.models import models_page
-from roboxim_eval.report.scores import score_rows
+from roboxim_eval.report.scores import no_baseline_line, score_rows
+
+RESULTS = Path(__file__).parents[3] / "docs/results"
 
 
 def rate(condition, cell, u=0.4, s=0.8):
@@ -237,6 +240,20 @@ def test_names_and_numbers_of_a_curve_do_not_overlap_or_leave_it():
     width = float(re.search(r'viewBox="0 0 ([\d.]+) 300"', picture)[1])
     assert float(labels[-1][0]) + 7 * len(names[-1]) < width
     assert re.findall(r'y="276" text-anchor="middle" class="axis">(\w+)<', picture) == ["8k", "4k", "200"]
+
+
+def test_scores_of_an_experiment_without_a_baseline_are_not_named_after_one(card):
+    """Both conditions of `breadth` lack the held-out cells, so that their difference is not what holding out costs."""
+    assert not no_baseline_line(card)
+    breadth = check_card(json.loads((RESULTS / "breadth-laptop/card.json").read_text()))
+    said = {row["name"]: (row["plain"], row["meaning"]) for row in score_rows(breadth)}
+    assert said["gap, s - u"][0] == "scratch minus broad there"
+    assert not any(
+        "baseline" in text for name in ("gap, s - u", "relative, u / s", "competence") for text in said[name]
+    )
+    page = experiment_page(ExperimentPage(card=breadth))
+    assert "success lost by holding out" not in page
+    assert "scratch was not trained in held-out cells either" in no_baseline_line(breadth)
 
 
 def test_a_training_counts_once(card):

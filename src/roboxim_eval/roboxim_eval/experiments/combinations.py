@@ -202,8 +202,8 @@ class TransferCurve:
             bounds = f"{round(100 * self.change.low) + 0:+d} to {round(100 * self.change.high) + 0:+d}"
         yield (
             f"From {first} to {last} combinations, the success in held-out ones changes by "
-            f"{round(100 * self.change.value) + 0:+d} points ({bounds}; a straight line over the logarithm of their number), at "
-            "equal numbers of demonstrations."
+            f"{round(100 * self.change.value) + 0:+d} points ({bounds}; a straight line over the logarithm of "
+            "their number), at equal numbers of demonstrations."
         )
         if self.enough is not None:
             yield f"{self.enough} combinations are shown to be enough: as good as {last} within the margin, or better."

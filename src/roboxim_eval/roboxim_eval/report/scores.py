@@ -26,6 +26,15 @@ SCORES = {
                      "allows one"),
 }  # fmt: skip
 """Score of a card to its name in tables, its description, and its meaning."""
+WITHOUT_BASELINE = {
+    "absolute": ("success in held-out cells", "success of {first} in held-out cells; it ranks models"),
+    "baseline": ("success of {second} there", "success of {second} in the same cells, not trained in them either"),
+    "gap": ("{second} minus {first} there", "difference in held-out cells; not what holding out costs, since neither "
+            "was trained in them; the primary test"),
+    "relative": ("ratio of {first} to {second}", "success of {first} as a share of that of {second}"),
+    "competence": ("{first} minus {second} where both have trained", "difference in cells that both have seen"),
+}  # fmt: skip
+"""The same without a baseline: the second condition was not trained in held-out cells either."""
 POINTS = ("gap", "words", "competence")
 """Scores that are differences, shown in points."""
 
@@ -39,9 +48,12 @@ def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
     """
     found = card.scores or {}
     behind = behind_scores(card) if found else {}
+    without = card.experiment.config.primary if found and not has_baseline(card) else None
     for key, (name, plain, meaning) in SCORES.items():
         if key not in found:
             continue
+        if without and key in WITHOUT_BASELINE:
+            plain, meaning = (text.format(first=without.first, second=without.second) for text in WITHOUT_BASELINE[key])
         value = found[key]
         shown, interval = "-", "not measured"
         if key == "relative" and value is None:
@@ -57,6 +69,28 @@ def score_rows(card: Card, link: Link = no_link) -> Iterator[dict[str, str]]:
             shown, interval = _score(value, points=key in POINTS)
         to = "" if shown == "-" else link(**behind[key])
         yield {"name": name, "plain": plain, "value": shown, "interval": interval, "meaning": meaning, "link": to}
+
+
+def has_baseline(card: Card) -> bool:
+    """Return whether the primary comparison's second condition was trained in held-out cells, or with unknown data."""
+    design = design_of_card(card)
+    primary, conditions = design.config.primary, design.config.conditions
+    if primary is None:
+        return False
+    trained = conditions[conditions[primary.second].checkpoint_of or primary.second].train
+    counts = design.datasets.get(trained)
+    return counts is None or any(cell.unseen and counts.get(cell.key) for cell in design.cells)
+
+
+def no_baseline_line(card: Card) -> str:
+    """Return what the scores of a card without a baseline are not; empty: it has one, or no scores."""
+    primary = card.experiment.config.primary
+    if not card.scores or primary is None or has_baseline(card):
+        return ""
+    return (
+        f"{primary.second} was not trained in held-out cells either: 'baseline' is its success there, and 'gap' not "
+        "what holding out costs."
+    )
 
 
 def behind_scores(card: Card) -> dict[str, dict[str, str]]:

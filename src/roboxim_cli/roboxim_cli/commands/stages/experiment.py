@@ -253,6 +253,7 @@ def report(
     """
     from roboxim_core.errors import ConfigError
     from roboxim_eval.experiments.fresh import committed_text, public_text
+    from roboxim_eval.report.scores import no_baseline_line
     from roboxim_runs.experiments.report import (
         ExperimentFolder,
         card_page,
@@ -300,6 +301,8 @@ def report(
     for name, value in scores.items():
         text = f"refused: {refused}" if name == "relative" and refused else _score_text(value)
         click.echo(f"  {name:<17} {text}")
+    if line := no_baseline_line(found):
+        click.echo(f"  note              {line}")
     if scenes := committed_text(found):
         click.echo(f"  scenes            {scenes}")
     if advantage := public_text(found):
