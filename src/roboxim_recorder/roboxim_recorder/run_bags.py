@@ -75,6 +75,11 @@ def run_bags(path: Path | str) -> RunBags:
     )
 
 
+def run_name(path: Path) -> str:
+    """Return the name of a run: of its folder or of its folder of bags."""
+    return path.parent.name if path.name == PLACES["keep"] else path.name
+
+
 def read_results(run: Path) -> list[EpisodeResult]:
     """Return the results of a run, the last of each index. A torn last line (a crash) is left out.
 

@@ -27,7 +27,7 @@ from roboxim_recorder.export.processes import add_in_processes, available_cores
 from roboxim_recorder.export.registry import EXPORTERS, Exporter
 from roboxim_recorder.export.selection import Chosen, Selection, choose
 from roboxim_recorder.export.sources import Source
-from roboxim_recorder.run_bags import run_bags
+from roboxim_recorder.run_bags import run_bags, run_name
 
 Progress = Callable[[int, int], None]
 SWITCH_INTERVAL_S = 0.5e-3
@@ -126,7 +126,7 @@ def export_bags(
                 "format": name,
                 "identity": identity,
                 "config": to_plain(config),
-                "runs": [path.parent.name if path.name == "episodes" else path.name for path in paths],
+                "runs": list(map(run_name, paths)),
                 "left_out": chosen.left_out,
                 "cells": chosen.cells,
                 **({"robots": list(content.robots)} if len(content.robots) > 1 else {}),

@@ -25,6 +25,7 @@ from roboxim_recorder.export.episodes import exported_episode
 from roboxim_recorder.export.registry import EXPORTERS
 from roboxim_recorder.export.selection import Selection, exported_sources, in_order, selected
 from roboxim_recorder.export.sources import Source
+from roboxim_recorder.run_bags import run_name
 
 NO_SETTINGS = "the dataset does not say how it was exported (export.json), so its bags cannot be exported alike"
 NO_BAG = "none of the bags given is of this episode"
@@ -170,13 +171,24 @@ def _selected(dataset: Dataset, sources: Sequence[Source], config: Selection) ->
     shards = [str(export.pop("shard", "")) for export in exports]
     if not exports or exports.count(exports[0]) < len(exports) or (len(exports) > 1 and not all(shards)):
         return set()
-    runs = dict.fromkeys(source.path.parent for source in sources)
+    names = _run_names(dataset.facts)
+    runs = sorted(
+        dict.fromkeys(source.path.parent for source in sources),
+        key=lambda run: names.index(name) if (name := run_name(run)) in names else len(names),
+    )
     ordered = [one for run in runs for one in in_order([source for source in sources if source.path.parent == run])]
     try:
         parts = [selected(ordered, replace(config, shard=shard), Counter()) for shard in shards]
     except RoboximError:
         return set()
     return {source.episode_id for part in parts for group in part.values() for source in group}
+
+
+def _run_names(facts: Mapping[str, Any]) -> list[str]:
+    """Return the names of an export's runs in its order, of merged shards those of the first."""
+    while "runs" not in facts and facts.get("sources"):
+        facts = facts["sources"][0]
+    return list(facts.get("runs", ()))
 
 
 def _settings(dataset: Dataset) -> list[Selection]:

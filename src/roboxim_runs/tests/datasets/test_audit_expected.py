@@ -47,3 +47,14 @@ def test_each_export_of_a_merge_is_expected_by_its_own_settings(runs, tmp_path):
 
 def test_episodes_of_one_id_are_compared_with_their_own_bags(runs, tmp_path):
     require_as_expected(exported(runs, tmp_path / "x"), runs)
+
+
+@pytest.mark.parametrize("options", [{"per_cell": 3}, {"split": {"train": 1, "val": 1}}])
+def test_the_episodes_that_counts_choose_do_not_depend_on_the_order_of_the_bags_given(runs, tmp_path, options):
+    dataset = open_dataset(exported(runs, tmp_path / "x", **options))
+    ids = {dataset.episode(number).episode_id for number in range(len(dataset))}
+    for order in (runs, runs[::-1]):
+        bags = {}
+        for bag in (bag for run in order for bag in list_bags(run)):
+            bags.setdefault(bag.name, []).append(bag)
+        assert expected_of_bags(dataset, bags).unclaimed == ids
