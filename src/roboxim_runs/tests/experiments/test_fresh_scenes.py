@@ -10,6 +10,7 @@ from planted_cards import planted_card, shipped
 
 from roboxim_cli.main import group
 from roboxim_core.errors import ConfigError
+from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_eval.experiments import design_of, stages_of
 from roboxim_eval.experiments.card import parse_card, sealed
 from roboxim_eval.experiments.card_checks import check_card, concluded
@@ -17,7 +18,8 @@ from roboxim_eval.experiments.fresh import SceneSeed, committed_text, public_tex
 from roboxim_runs.experiments.benchmark import BenchmarkRunConfig, run_benchmark
 from roboxim_runs.experiments.report import ExperimentFolder, card_page, reproduction
 from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment
-from roboxim_runs.experiments.scenes.again import _linked, attested_seed
+from roboxim_runs.experiments.scenes import again
+from roboxim_runs.experiments.scenes.again import _linked, attested_seed, take_trainings
 from roboxim_runs.experiments.scenes.fresh import COMMITTED, card_part, drawn_seed, in_scenes_of
 from roboxim_runs.storage.folder import locked
 
@@ -51,9 +53,9 @@ def test_public_scenes_keep_their_seeds_and_fresh_ones_have_one_seed_for_all_cal
     assert seeds_of(fresh) == {seed}
     assert fresh.fresh.trained_before == 0
     assert f"--scene-seed {seed}" in reproduction(ExperimentFolder.of(tmp_path / "a"))
-    again = run_experiment(config(out=tmp_path / "c", scene_seed=seed)).card
-    assert seeds_of(again) == seeds_of(fresh)
-    assert committed_text(again) == f"seed {seed}, which the run was given"
+    given = run_experiment(config(out=tmp_path / "c", scene_seed=seed)).card
+    assert seeds_of(given) == seeds_of(fresh)
+    assert committed_text(given) == f"seed {seed}, which the run was given"
 
 
 def test_trainings_that_the_card_has_no_longer_do_not_count_as_finished_before(tmp_path):
@@ -109,6 +111,25 @@ def test_a_policy_that_is_better_in_the_public_scenes_is_named(fakes, config, tm
     assert run_experiment(config(fresh=True, trained=tmp_path / "public")).card.sha256 == card.sha256
     with pytest.raises(ConfigError, match="its warnings do not follow"):
         check_card({**card.plain, "warnings": []})
+
+
+def test_an_interrupted_taking_of_trainings_continues(fakes, config, tmp_path, monkeypatch):
+    run_experiment(config(out=tmp_path / "public"))
+    out, write = tmp_path / "out", again.write_whole
+    for interrupted in ("public_card.json", "stages.jsonl"):
+
+        def killed(path, text, interrupted=interrupted):
+            if path.name == interrupted:
+                raise KeyboardInterrupt
+            write(path, text)
+
+        monkeypatch.setattr(again, "write_whole", killed)
+        with pytest.raises(KeyboardInterrupt):
+            take_trainings(tmp_path / "public", out)
+    monkeypatch.setattr(again, "write_whole", write)
+    take_trainings(tmp_path / "public", out)
+    names = [entry.data["stage"] for entry in ResultsLog(out / "stages.jsonl").read()]
+    assert {name.partition("/")[0] for name in names} == {"generate", "export", "train", "prove"}
 
 
 @pytest.mark.thorough

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json
-from roboxim_core.plain_data.results_log import ResultsLog
+from roboxim_core.plain_data.results_log import ResultsLog, line_of
 from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import stages_of
 from roboxim_eval.experiments.fresh import SceneSeed
@@ -103,12 +103,11 @@ def take_trainings(source: Path, out: Path) -> None:
         for one in parts:
             if one.is_dir():
                 shutil.copytree(one, out / one.relative_to(source), copy_function=_linked, dirs_exist_ok=True)
-    for entry in lines.values():  # in the order in which they ended
-        if entry.data.get("stage") in kept:
-            ResultsLog(out / STAGES_FILE).append(entry.key, entry.data)
     if (source / ATTEST_FILE).exists():
         shutil.copy2(source / ATTEST_FILE, out / ATTEST_FILE)
     write_whole(out / PUBLIC_FILE, (source / CARD_FILE).read_text())
+    ended = [entry for entry in lines.values() if entry.data.get("stage") in kept]  # in the order in which they ended
+    write_whole(out / STAGES_FILE, "".join(line_of(entry.key, entry.data) for entry in ended))  # last: now it has them
 
 
 def _folder_to_take(source: Path, out: Path) -> ExperimentFolder | None:
@@ -126,7 +125,7 @@ def _folder_to_take(source: Path, out: Path) -> ExperimentFolder | None:
     if (out / PUBLIC_FILE).exists():
         if read_json(out / PUBLIC_FILE).get("sha256") != card.sha256:
             raise ConfigError(f"{out} has the trainings of another run; choose another output folder (--out)")
-        return None
+        return None if (out / STAGES_FILE).exists() else folder  # the call before was interrupted
     if (out / STAGES_FILE).exists():
         raise ConfigError(f"{out} has a run of its own; choose another output folder (--out)")
     return folder
