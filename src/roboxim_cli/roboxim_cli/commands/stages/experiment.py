@@ -34,17 +34,18 @@ def list_experiments() -> None:
     from roboxim_core.errors import ConfigError
 
     known = catalog("experiments")
+    width = max(map(len, [*known["experiments"], *known["benchmarks"]]), default=0)
     click.secho("experiments (roboxim experiment plan NAME --scale SCALE)", bold=True)
     for name, entry in known["experiments"].items():
         scales = ", ".join(f"{scale} {time}".rstrip() for scale, time in entry["scales"].items())
-        click.echo(f"  {name:<30} {entry['thesis'] or '-':<7} {entry['about']}")
-        click.echo(f"  {'':<30} {'':<7} {scales}")
+        click.echo(f"  {name:<{width}} {entry['thesis'] or '-':<7} {entry['about']}")
+        click.echo(f"  {'':<{width}} {'':<7} {scales}")
     click.secho("benchmarks (roboxim experiment plan --benchmark NAME --scale SCALE)", bold=True)
     for name, entry in known["benchmarks"].items():
-        click.echo(f"  {name:<30} {entry['thesis'] or '-':<7} {entry['about']}")
+        click.echo(f"  {name:<{width}} {entry['thesis'] or '-':<7} {entry['about']}")
         scales = ", ".join(f"{scale} {time}".rstrip() for scale, time in entry["scales"].items())
-        click.echo(f"  {'':<30} {'':<7} {', '.join(entry['experiments'])}")
-        click.echo(f"  {'':<30} {'':<7} {scales}")
+        click.echo(f"  {'':<{width}} {'':<7} {', '.join(entry['experiments'])}")
+        click.echo(f"  {'':<{width}} {'':<7} {scales}")
     if not known["measured"]:
         click.echo("times are unknown: 'roboxim experiment calibrate' measures this machine's rates in a few minutes")
     if known["broken"]:
