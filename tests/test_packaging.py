@@ -100,3 +100,12 @@ def test_interfaces_name_the_same_dependencies_everywhere() -> None:
     required = {re.split("[~=]=", requirement)[0] for requirement in distribution["project"]["dependencies"]}
     assert required == wheels
     assert wheels <= {requirement.split("==")[0] for requirement in distribution["build-system"]["requires"]}
+
+
+def test_every_distribution_has_the_current_version() -> None:
+    version = PROJECT["project"]["version"]
+    for pyproject in ROOT.glob("*/*/pyproject.toml"):
+        assert tomllib.loads(pyproject.read_text())["project"]["version"] == version, pyproject
+    own = [one for one in PROJECT["project"]["dependencies"] if one.startswith("roboxim-")]
+    assert own == [f"roboxim-{name}=={version}" for name in ("interfaces", "planner-native")]
+    assert f"version: {version}\n" in (ROOT / "CITATION.cff").read_text()
