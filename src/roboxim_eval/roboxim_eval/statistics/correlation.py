@@ -34,7 +34,7 @@ import numpy.typing as npt
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Array
-from roboxim_eval.statistics.replicates import Interval, equal_rollouts
+from roboxim_eval.statistics.replicates import Interval, equal_rollouts, is_even
 from roboxim_eval.statistics.tables import Arm
 
 MIN_POLICIES = 3
@@ -58,6 +58,8 @@ class PolicyCounts:
     these are numbers of rollouts in equally full cells that give the mean as exactly; they need not be whole."""
     second: tuple[float, float]
     """Those in the benchmark that is to predict it, e.g. in simulation."""
+    even: bool = True
+    """Whether all cells have as many rollouts, so that those numbers are the ones that were run."""
 
     @property
     def rates(self) -> tuple[float, float]:
@@ -133,13 +135,15 @@ def policy_counts(policies: Mapping[str, tuple[Arm, Arm]]) -> list[PolicyCounts]
                 "cells, or give all policies the same cells"
             )
     return [
-        PolicyCounts(name=name, first=_counts(one, common), second=_counts(two, common))
-        for name, (one, two) in policies.items()
-    ]
+        PolicyCounts(
+            name=name, first=_counts(one), second=_counts(two), even=is_even(one, slack=0.0) and is_even(two, slack=0.0)
+        )
+        for name, both in policies.items()
+        for one, two in [[arm if WHOLE in arm.cells else arm.within(common) for arm in both]]
+    ]  # fmt: skip
 
 
-def _counts(arm: Arm, cells: Sequence[str]) -> tuple[float, float]:
-    arm = arm if WHOLE in arm.cells else arm.within(cells)
+def _counts(arm: Arm) -> tuple[float, float]:
     rollouts = equal_rollouts(arm)
     return arm.rate * rollouts, rollouts
 

@@ -46,6 +46,12 @@ def test_tables_of_both_forms_are_matched_by_policy_and_cell(tmp_path):
     words = ("correlate", str(real), str(ours), "--no-plan", "--names", "robot,sim")
     said = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
     assert "sim and robot, 3 policies: Pearson 0.9" in said
+    assert "different numbers of rollouts" not in said
+    uneven = written(tmp_path / "uneven.csv", REAL.replace("drawer,3,10", "drawer,3,90"))
+    both = ("correlate", str(uneven), str(uneven), "--no-plan")
+    said_uneven = CliRunner().invoke(group, both, standalone_mode=False, catch_exceptions=False).stdout
+    assert "42 % of 36" in said_uneven
+    assert "Cells have different numbers of rollouts" in said_uneven, "36 is none of a user's numbers"
     data = CliRunner().invoke(group, (*words, "--json"), standalone_mode=False, catch_exceptions=False).stdout
     assert json.loads(data)["mmrv"]["value"] == 0
 

@@ -61,6 +61,11 @@ def command(
             for rate, side in zip(policy.rates, (policy.first, policy.second), strict=True)
         )
         click.echo(f"{policy.name:<{width}}  {one:>12}  {two:>12}")
+    if not all(policy.even for policy in found.policies):
+        click.echo(
+            "Cells have different numbers of rollouts: rates are means over cells, and the numbers are those of "
+            "equally full cells that would give them as exactly."
+        )
     for sentence in found_sentences:
         click.echo(sentence)
     if needed is not None:
