@@ -21,10 +21,12 @@ from roboxim_ros.host import NodeHost
 from roboxim_ros.runs import free_domain, register_run
 from roboxim_studio.acting.live import LiveGraph
 from roboxim_studio.app import DRIVE, GRAPH, SCENE, Studio
-from roboxim_studio.browser import Browser, wait_for
 from roboxim_studio.editing import composition
 from roboxim_studio.editing import document as edits
 from roboxim_studio.opening import recognise
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests/support"))
+from browser import Browser, wait_for
 
 DESKTOP, PHONE = (1440, 900), (390, 844)
 FILM_WIDTH = 960

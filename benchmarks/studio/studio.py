@@ -19,7 +19,9 @@ from urllib.request import urlopen
 from benchmarks._harness import Bench, rss_mib
 
 from roboxim_studio.app import Studio
-from roboxim_studio.browser import Browser, wait_for
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests/support"))
+from browser import Browser, wait_for
 
 ROBOXIM = (sys.executable, "-m", "roboxim_cli")
 COUNT = (

@@ -1,10 +1,10 @@
 import pytest
+from browser import Browser, find_browser
 
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_core.episode import EpisodeRunner, RunConfig
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_studio.app import Studio
-from roboxim_studio.browser import Browser, find_browser
 
 
 @pytest.fixture(scope="session")

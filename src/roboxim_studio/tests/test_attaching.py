@@ -5,6 +5,7 @@ import threading
 from types import SimpleNamespace
 
 import pytest
+from browser import wait_for
 from roboxim_interfaces.srv import LoadScene, PlanToJoints, ReleaseEpisode, Tick
 from simulation_interfaces.srv import GetEntities, GetEntityState, ResetSimulation
 
@@ -17,7 +18,6 @@ from roboxim_ros.runs import register_run
 from roboxim_ros.testing import runtime  # noqa: F401
 from roboxim_studio.acting.live import LiveGraph, choose_graph
 from roboxim_studio.app import Studio
-from roboxim_studio.browser import wait_for
 
 pytestmark = pytest.mark.ros
 ACTION = [0.01, 0.0, -0.005, 0.0, 0.0, 0.1, 1.0]

@@ -3,6 +3,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from browser import wait_for
 
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_core.config import digest
@@ -11,7 +12,6 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_recorder.bag import BagReader
 from roboxim_runs.episodes.task_choice import task_text
-from roboxim_studio.browser import wait_for
 from roboxim_studio.editing import composition as edits
 from roboxim_studio.editing.document import with_instruction
 from roboxim_studio.episode.film import read_film

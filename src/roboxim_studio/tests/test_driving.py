@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from browser import wait_for
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import Draw
@@ -17,7 +18,6 @@ from roboxim_studio.acting.drive import Drive, next_index
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.acting.steering import Speeds, Steering, action_of, moves, offset_words
 from roboxim_studio.acting.take import FilmRecorder
-from roboxim_studio.browser import wait_for
 from roboxim_studio.editing import document as edits
 from roboxim_studio.episode.film import read_film
 

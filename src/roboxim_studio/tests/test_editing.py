@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from browser import wait_for
 
 from roboxim_core.config import digest
 from roboxim_core.errors import ConfigError
@@ -14,7 +15,6 @@ from roboxim_core.poses import Pose
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec, TaskSpec
 from roboxim_runs.episodes.task_choice import task_text
-from roboxim_studio.browser import wait_for
 from roboxim_studio.editing import document as edits
 from roboxim_studio.episode.film import read_film
 from roboxim_tasks.config import parse_task_config, task_config

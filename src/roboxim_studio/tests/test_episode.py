@@ -4,11 +4,11 @@ import sys
 from dataclasses import replace
 
 import pytest
+from browser import wait_for
 
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_recorder.bag import BagReader
 from roboxim_studio.app import Studio
-from roboxim_studio.browser import wait_for
 from roboxim_studio.episode.film import marks, read_film
 from roboxim_studio.episode.judgement import judge, thresholds, with_thresholds
 from roboxim_studio.first_view import first_view

@@ -1,9 +1,8 @@
 """The studio in a real Firefox, on a virtual screen."""
 
 import pytest
-
-from roboxim_studio.browser import wait_for
-from roboxim_studio.firefox import Firefox, find_firefox
+from browser import wait_for
+from firefox import Firefox, find_firefox
 
 pytestmark = [
     pytest.mark.slow,

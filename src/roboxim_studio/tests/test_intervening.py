@@ -7,6 +7,7 @@ import time
 import h5py
 import numpy as np
 import pytest
+from browser import wait_for
 from websockets.sync.client import connect
 
 from roboxim_core.episode import Draw
@@ -26,7 +27,6 @@ from roboxim_runs.datasets.bag_finder import BagFinder
 from roboxim_studio.acting.drive import Drive, continued
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.acting.partner import Partner
-from roboxim_studio.browser import wait_for
 from roboxim_studio.episode.film import marks, read_film
 
 SEED = SeedPath(run_seed=1, purpose="demo", index=0)

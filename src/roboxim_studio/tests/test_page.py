@@ -1,8 +1,7 @@
 """The studio in a real browser: its DOM, and the server's state."""
 
 import pytest
-
-from roboxim_studio.browser import Browser
+from browser import Browser
 
 
 @pytest.mark.thorough

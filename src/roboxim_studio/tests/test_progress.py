@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from browser import wait_for
 
 from roboxim_core.episode import Draw
 from roboxim_core.plain_data.results_log import RUN_FILE
@@ -13,7 +14,6 @@ from roboxim_runs.storage.folder import EPISODE_MARK
 from roboxim_studio.acting.drive import Drive
 from roboxim_studio.acting.lab import Lab
 from roboxim_studio.app import Studio
-from roboxim_studio.browser import wait_for
 from roboxim_studio.episode.film import read_film
 from roboxim_studio.opening import Kind, recognise
 

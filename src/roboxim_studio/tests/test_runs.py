@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from browser import wait_for
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_datasets.formats import open_dataset
@@ -14,7 +15,6 @@ from roboxim_recorder.export import EXPORTERS
 from roboxim_runs.datasets.export import export_dataset
 from roboxim_runs.datasets.rewriting import convert_dataset
 from roboxim_studio.acting.what_if import Question
-from roboxim_studio.browser import wait_for
 from roboxim_studio.episode.choice import selection_text
 from roboxim_studio.episode.film import read_film
 from roboxim_studio.opening import Kind, recognise

@@ -7,11 +7,11 @@ pyspacemouse describes them, come from an object in the page that behaves like t
 import struct
 
 import pytest
+from browser import wait_for
 
 from roboxim_core.poses import Pose
 from roboxim_studio.acting.space_mouse import SpaceMouse
 from roboxim_studio.acting.steering import Steering, action_of, moves
-from roboxim_studio.browser import wait_for
 
 HERE = Pose(position=(0.5, 0.0, 0.3), quat_xyzw=(1.0, 0.0, 0.0, 0.0))
 

@@ -14,8 +14,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from browser import Page, end
+
 from roboxim_core.errors import ErrorCode, RoboximError
-from roboxim_studio.browser import Page, end
 
 NAMES = ("firefox-esr", "firefox")
 PREFERENCES = {
