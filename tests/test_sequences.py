@@ -16,7 +16,7 @@ from roboxim_core.specs import EntitySpec, TaskSpec
 from roboxim_tasks.config import load_task_config, parse_task_config
 from roboxim_tasks.meaning import asks_for_same, read_instruction
 from roboxim_tasks.sampling.episodes import EpisodeGenerator
-from roboxim_tasks.sequences.steps import arguments_of, own_objects, steps_of, words_of
+from roboxim_tasks.sequences.steps import arguments_of, own_objects, steps_of
 
 SHIPPED = ("two_steps", "tidy_up", "drawer_chain")
 DRAWN = SeedPath(run_seed=7, purpose="demo", index=0)
@@ -73,7 +73,7 @@ def test_shipped_sequences_say_all_their_steps(name):
     steps = steps_of(task)
     assert task.drawn["length"] == str(len(config.steps)) == str(len(steps))
     assert [step.skill for step in steps] == [step.skill for step in config.steps]
-    assert all(words_of(task))
+    assert all(step.instruction for step in steps)
     assert {thing.entity for step in steps for thing in step.objects.values()} == {
         thing.entity for thing in task.objects.values()
     }
@@ -81,7 +81,7 @@ def test_shipped_sequences_say_all_their_steps(name):
 
 def test_sentence_joins_the_steps():
     task = EpisodeGenerator(ModelLibrary()).task(DRAWN, load_task_config("drawer_chain"))
-    opened, put, shut = words_of(task)
+    opened, put, shut = (step.instruction for step in steps_of(task))
     assert task.instruction == f"{opened}, then {put[0].lower()}{put[1:]}, then {shut[0].lower()}{shut[1:]}"
 
 

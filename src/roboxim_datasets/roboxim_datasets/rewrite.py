@@ -411,7 +411,8 @@ def _common_convention(sources: Sequence[Dataset]) -> str:
     Raises:
         RecorderError: ``EXPORT_REFUSED`` when they have different ones.
     """
-    texts = [_text_beside(source, CONVENTION_FILE) for source in sources]
+    folders = [source.folder for source in sources]
+    texts = [read_text(file_in(at, CONVENTION_FILE)) if has_file(at, CONVENTION_FILE) else "" for at in folders]
     for source, text in zip(sources, texts, strict=True):
         if text != texts[0]:
             raise RecorderError(
@@ -420,10 +421,6 @@ def _common_convention(sources: Sequence[Dataset]) -> str:
                 ErrorCode.EXPORT_REFUSED,
             )
     return texts[0]
-
-
-def _text_beside(source: Dataset, name: str) -> str:
-    return read_text(file_in(source.folder, name)) if has_file(source.folder, name) else ""
 
 
 def _require_outside(path: Path, sources: Sequence[Dataset]) -> None:

@@ -71,8 +71,8 @@ def _hull(points: Array) -> Array:
     return _fine(points[ConvexHull(points).simplices])
 
 
-def _fine(triangles: Array, edge: float = 0.12) -> Array:
+def _fine(triangles: Array) -> Array:
     """Split large triangles, because painting in the order of distance is wrong for long ones."""
     split: Any = trimesh.remesh.subdivide_to_size
-    vertices, faces = split(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), max_edge=edge)
+    vertices, faces = split(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), max_edge=0.12)
     return np.asarray(vertices[faces])

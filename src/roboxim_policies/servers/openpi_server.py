@@ -44,7 +44,6 @@ QUIET = logging.getLogger("openpi_server")
 """Logger for `websockets`, whose own prints a traceback for whatever connects and is no WebSocket client."""
 QUIET.setLevel(logging.CRITICAL)
 Request = dict  # of arrays, texts and numbers by key
-Reply = dict  # of arrays by key
 
 
 class RequestError(ValueError):

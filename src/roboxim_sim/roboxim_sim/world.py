@@ -16,7 +16,6 @@ import numpy.typing as npt
 from roboxim_core import limits
 from roboxim_core.config import digest
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError, one_of
-from roboxim_core.kinematics import ControllerState
 from roboxim_core.poses import Pose, Vec3
 from roboxim_core.specs import EntitySpec
 from roboxim_core.state import StateRecord
@@ -322,10 +321,10 @@ class World(EpisodeWorld):
         for done in range(0, steps, self._steps_per_tick):
             yield self._free_motion(min(self._steps_per_tick, steps - done))
 
-    def _free_motion(self, steps: int, before: ControllerState | None = None) -> StateRecord:
+    def _free_motion(self, steps: int) -> StateRecord:
         self._disturbed = True
         self.physics.begin_tick()
-        self._advance(steps, before)
+        self._advance(steps)
         self._seq += 1
         self._steps += steps
         self._record = self._read()

@@ -130,8 +130,6 @@ class Truth:
     sightings: tuple[Sighting, ...] | None = None
     """Visibility of the named objects at tick 0, and of the one that is touched first at some ticks until then; none:
     no renderer."""
-    first_touch: int | None = None
-    """First tick at which the robot touched an object of the task."""
     pairs: tuple[ColorPair, ...] | None = None
     """Objects that only their colour distinguishes from a named one; none: no renderer."""
     touches: tuple[Touch, ...] = ()

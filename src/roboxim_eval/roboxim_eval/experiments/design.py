@@ -95,11 +95,6 @@ class Design:
         return sum(training.steps for training in self.trainings)
 
     @property
-    def training_starts(self) -> int:
-        """Number of starts of a training command: one for each checkpoint on a learning curve, and one more."""
-        return sum(1 + len(training.checkpoints) for training in self.trainings)
-
-    @property
     def compared_scenes(self) -> int:
         """Rollouts of each training that the primary comparison counts; 0: it compares nothing."""
         primary = self.config.primary

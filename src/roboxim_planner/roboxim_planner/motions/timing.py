@@ -223,7 +223,7 @@ BLEND_SAMPLES = np.linspace(0.0, 1.0, 9)
 _PLACES = np.linspace(0.0, 1.0, 17)[:, None]
 
 
-def blend_points(before: Array, corner: Array, after: Array, distance: float, samples: Array = BLEND_SAMPLES) -> Array:
+def blend_points(before: Array, corner: Array, after: Array, distance: float) -> Array:
     """Return points on a corner's blend, shape (N, dof).
 
     Args:
@@ -231,11 +231,11 @@ def blend_points(before: Array, corner: Array, after: Array, distance: float, sa
         corner: The corner.
         after: Waypoint after it.
         distance: Distance from the corner at which the blend leaves and joins the lines [rad].
-        samples: Places along the blend, 0..1.
     """
     u, w = _direction(before, corner), _direction(corner, after)
     start = corner - distance * u
-    ahead, turned = samples[:, None], (samples**3 - 0.5 * samples**4)[:, None]
+    ahead = BLEND_SAMPLES[:, None]
+    turned = ahead**3 - 0.5 * ahead**4
     return start + 2.0 * distance * (u * ahead + (w - u) * turned)
 
 

@@ -54,8 +54,6 @@ class TrainProgress:
     """The loss's parts."""
     steps_per_s: float
     """Steps per second since this start, compilation excluded [1/s]."""
-    eta_s: float
-    """Expected time to the end [s]."""
 
 
 def statistics(data: Demonstrations) -> Statistics:
@@ -271,7 +269,6 @@ class Trainer:
         speed = steps / seconds if steps and seconds > 0 else 0.0
         return TrainProgress(
             step=self.step, steps=self.config.steps, loss=parts.pop("loss"), parts=parts, steps_per_s=speed,
-            eta_s=(self.config.steps - self.step) / speed if speed else 0.0,
         )  # fmt: skip
 
     def save(self) -> None:

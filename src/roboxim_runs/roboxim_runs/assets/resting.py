@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,13 +39,12 @@ class RestPose:
         return float(np.arccos(np.clip(self.pose.rotation.as_matrix()[2, 2], -1.0, 1.0)))
 
 
-def rest_poses(model: ObjectModel, drops: int = DROPS, on_drop: Callable[[], None] = lambda: None) -> list[RestPose]:
+def rest_poses(model: ObjectModel, drops: int = DROPS) -> list[RestPose]:
     """Drop an object from random orientations; return the poses in which it lies still, the most frequent first.
 
     Args:
         model: The object; its pose on the table need not be stable.
         drops: Number of drops; the upright orientation is one of them.
-        on_drop: Called after each.
     """
     turns = Rotation.random(drops - 1, random_state=np.random.default_rng(0))
     ends: list[Pose] = []
@@ -55,7 +53,6 @@ def rest_poses(model: ObjectModel, drops: int = DROPS, on_drop: Callable[[], Non
         for turn in (Rotation.identity(), *turns):
             if (end := _drop(client, model, turn)) is not None:
                 ends.append(end)
-            on_drop()
     finally:
         client.disconnect()
     groups: list[list[Pose]] = []

@@ -114,13 +114,11 @@ class BagTruth:
         Raises:
             RoboximError: When the scene cannot be drawn, or the bag is damaged.
         """
-        touch = self._first_touch
         return Truth(
             solved=tuple(verdict.success for verdict in self._verdicts(self.info.task)),
             approaches=tuple(self._approaches()),
             meaning=self._meaning(),
-            first_touch=touch,
-            sightings=self._sightings(touch),
+            sightings=self._sightings(self._first_touch),
             pairs=self._pairs(),
             touches=tuple(self._touches()),
             replay_error_m=self._replay(),

@@ -366,17 +366,11 @@ def generate_instruction(
     return context.template.format_map({role: description(thing) for role, thing in objects.items()} | dict(words))
 
 
-def generate_task(
-    context: GenerationContext,
-    *,
-    arguments: Any = None,
-    words: Mapping[str, str] | None = None,
-) -> TaskSpec:
+def generate_task(context: GenerationContext, *, words: Mapping[str, str] | None = None) -> TaskSpec:
     """Compose a task: an object per role, distractors, the instruction, and the skill's parameters as arguments.
 
     Args:
         context: Inputs of the draw.
-        arguments: Frozen dataclass of scalars for the skill's evaluator; none: the parameters.
         words: Texts for names in a template that are not roles.
 
     Raises:
@@ -388,7 +382,6 @@ def generate_task(
     return TaskSpec(
         skill=context.config.skill,
         objects=objects | generate_distractors(context, objects),
-        arguments=asdict(arguments if arguments is not None else context.parameters)
-        | ({STAY: stay_m} if stay_m else {}),
+        arguments=asdict(context.parameters) | ({STAY: stay_m} if stay_m else {}),
         instruction=generate_instruction(context, objects, words or {}),
     )

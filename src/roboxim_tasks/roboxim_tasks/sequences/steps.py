@@ -145,11 +145,6 @@ def steps_of(task: TaskSpec) -> tuple[TaskSpec, ...]:
     return tuple(steps)
 
 
-def words_of(task: TaskSpec) -> tuple[str, ...]:
-    """Return the sentence of each step."""
-    return tuple(step.instruction for step in steps_of(task))
-
-
 def own_objects(step: TaskSpec) -> dict[str, str]:
     """Return the entity of each role that a step's own sentence is about."""
     apart = {thing.entity for thing in task_distractors(step)}

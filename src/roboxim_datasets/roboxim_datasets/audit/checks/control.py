@@ -87,7 +87,7 @@ class Idle(AuditCheck):
         """Find long rests."""
         idle = _idle(episode)
         start, length = longest_run(idle)
-        rate = _rate_or(episode, 10.0)
+        rate = episode.rate_or(10.0)
         if idle.mean() > IDLE_SHARE or length / rate > IDLE_S:
             yield Finding(
                 text=f"{idle.sum()} of {len(idle)} ticks ({100 * idle.mean():.0f} %) are without motion; the longest "
@@ -202,10 +202,3 @@ def longest_run(flags: Flags) -> tuple[int, int]:
         elif not flag and start >= 0:
             best, start = max(best, (start, index - start), key=lambda run: run[1]), -1
     return best
-
-
-def _rate_or(episode: AuditEpisode, default: float) -> float:
-    try:
-        return episode.rate_hz
-    except CannotCheckError:
-        return default

@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from roboxim_datasets.audit.check import AUDIT_CHECKS, AuditCheck
 from roboxim_datasets.audit.values import AuditEpisode, Finding
 
-LIMIT_RAD = 0.01
-"""Controllers overshoot a limit a little: by up to 4 mrad in 48 clean episodes of all skills."""
 FORCE_N = 5.0
 
 

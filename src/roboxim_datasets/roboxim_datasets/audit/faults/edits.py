@@ -17,10 +17,10 @@ from roboxim_datasets.episode import Episode, Floats
 QUATERNIONS = (RotationRepresentation.QUATERNION_XYZW, RotationRepresentation.QUATERNION_WXYZ)
 
 
-def _middle(episode: EditableEpisode, rng: np.random.Generator, length: int = 1) -> int:
+def _middle(episode: EditableEpisode, rng: np.random.Generator) -> int:
     """Return a tick in the middle half of an episode with some ticks after it."""
     quarter = len(episode) // 4
-    return int(rng.integers(quarter, max(quarter + 1, 3 * quarter - length)))
+    return int(rng.integers(quarter, max(quarter + 1, 3 * quarter - 1)))
 
 
 @DATASET_FAULTS.register("wrong_instruction")
