@@ -32,6 +32,7 @@ from roboxim_studio.episode.statistics import Distribution, distributions
 from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.panels import markup
 from roboxim_studio.panels.editor_forms import by_person
+from roboxim_studio.panels.pictures import show_pictures
 from roboxim_studio.panels.plots import COLOURS, Plot, add_distributions
 from roboxim_studio.panels.selection import CONDITIONS_HINT, MARKS, Listed, OpenEpisode, Selection, meeting
 from roboxim_studio.serving.site import Site
@@ -327,12 +328,7 @@ class DatasetPanel:
             images = self._pictures.at(self.number)
             for name, handle in self._images.items():
                 handle.visible = name in images
-            for name, image in images.items():
-                if name in self._images:
-                    self._images[name].image = image
-                else:
-                    with self._folder:
-                        self._images[name] = self._gui.add_image(image, label=name, jpeg_quality=85)
+            show_pictures(self._gui, self._folder, self._images, images)
 
     def _fill(self, episode: Episode, pictures: Pictures) -> None:
         try:

@@ -42,6 +42,7 @@ from roboxim_studio.look.scene_view import SceneView, wxyz
 from roboxim_studio.panels import markup
 from roboxim_studio.panels.compose import ComposePanel
 from roboxim_studio.panels.editor import EditorPanel
+from roboxim_studio.panels.pictures import show_pictures
 from roboxim_studio.serving.site import Site
 
 FOLDER = "teleoperation"
@@ -419,12 +420,7 @@ class DrivePanel:
             self._gizmo.position, self._gizmo.wxyz = pose.position, wxyz(pose)
         self._verdict = "solved" if step.verdict.success else step.verdict.reason
         self._show_line(state)
-        for name, image in images.items():
-            if name in self._images:
-                self._images[name].image = image
-            else:
-                with self._pictures:
-                    self._images[name] = self._gui.add_image(image, label=name, jpeg_quality=85)
+        show_pictures(self._gui, self._pictures, self._images, images)
 
     def _show_line(self, state: StateRecord) -> None:
         """Show the tick, who acts, and where the tool is; a plumb line from it to the table."""

@@ -16,6 +16,7 @@ from roboxim_core.specs import CameraSpec, MaterialSpec, Scalar
 from roboxim_core.vision.textures import ROOM_TEXTURES
 from roboxim_studio.editing import document as edits
 from roboxim_studio.editing.desk import Desk
+from roboxim_studio.panels.pictures import show_pictures
 from roboxim_tasks.fixed_scene import FixedTask
 from roboxim_tasks.skills import SKILLS
 
@@ -249,12 +250,8 @@ class CamerasForm:
 
     def show(self, images: Mapping[str, npt.NDArray[np.uint8]]) -> None:
         """Show pictures."""
-        for name, image in images.items():
-            if name in self._images:
-                self._images[name].image = image
-            elif name in self._fresh:
-                with self.folder:
-                    self._images[name] = self._gui.add_image(image, label=name, jpeg_quality=85)
+        known = {name: image for name, image in images.items() if name in self._fresh}
+        show_pictures(self._gui, self.folder, self._images, known)
 
 
 class RoomForm:

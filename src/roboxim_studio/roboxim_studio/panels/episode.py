@@ -13,6 +13,7 @@ from roboxim_studio.episode.film import Film, ending, marks
 from roboxim_studio.episode.judgement import Judgement, judge, thresholds, with_thresholds
 from roboxim_studio.look.scene_view import SceneView
 from roboxim_studio.panels import markup
+from roboxim_studio.panels.pictures import show_pictures
 from roboxim_studio.panels.plots import plots_of
 from roboxim_studio.serving.site import Site
 
@@ -158,17 +159,9 @@ class EpisodePanel:
                 "tick-facts",
             )  # fmt: skip
             self._lamps.content = markup.lamps(judgement.lamps(seq))
-            self._show_images(images)
+            show_pictures(self._gui, self._pictures, self._images, images)
             for listener in self.on_shown:
                 listener(film, seq)
-
-    def _show_images(self, images: dict[str, Any]) -> None:
-        for name, image in images.items():
-            if name in self._images:
-                self._images[name].image = image
-            else:
-                with self._pictures:
-                    self._images[name] = self._gui.add_image(image, label=name, jpeg_quality=85)
 
     def judge_again(self, values: dict[str, float]) -> None:
         """Judge with other thresholds, and show what that changes; wrong values are named, and nothing changes."""
