@@ -16,7 +16,7 @@ from roboxim_core import limits
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.config import digest
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError, one_of
-from roboxim_core.kinematics import ArmKinematics, Controller, ControllerState, DeltaController, JointController
+from roboxim_core.kinematics import ArmKinematics, Arms, Controller, ControllerState, DeltaController, JointController
 from roboxim_core.models.description import RobotModel
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses
@@ -41,7 +41,7 @@ class EpisodeWorld:
         self.library = library or ModelLibrary()
         self.physics = Physics()
         """The bodies. Move them only through this world, otherwise its records become wrong."""
-        self._arms: dict[str, ArmKinematics] = {}
+        self._arms = Arms(self.library)
         self._scene: SceneSpec | None = None
         self._tick0_scene: SceneSpec | None = None
         self._episode_id = ""
@@ -193,8 +193,6 @@ class EpisodeWorld:
         """
         semantics = _executable(semantics, scene)
         model = self.library.robot(scene.robot.model)
-        if scene.robot.model not in self._arms:
-            self._arms[scene.robot.model] = ArmKinematics(model)
         arm = self._arms[scene.robot.model]
         joints = self._start_joints(scene, arm)
         models = {entity.name: self.library.entity_model(entity) for entity in scene.entities}

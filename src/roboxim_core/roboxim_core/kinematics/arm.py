@@ -22,6 +22,8 @@ from roboxim_planner_native import Arm
 if TYPE_CHECKING:
     import pinocchio as pin
 
+    from roboxim_core.models.library import ModelLibrary
+
 POSITION_TOLERANCE_M = 1e-7
 ROTATION_TOLERANCE_RAD = 1e-6
 MAX_ITERATIONS = 30
@@ -277,6 +279,24 @@ class ArmKinematics:
         while joint > 0 and joint not in ids:
             joint = self._pin.parents[joint]
         return ids.index(joint) if joint > 0 else -1
+
+
+class Arms(dict[str, ArmKinematics]):
+    """The arms of a library by robot, each made when it is asked for. Not thread-safe, as they are."""
+
+    def __init__(self, library: ModelLibrary) -> None:
+        """Make no arm yet."""
+        super().__init__()
+        self._library = library
+
+    def __missing__(self, robot: str) -> ArmKinematics:
+        """Make an arm.
+
+        Raises:
+            ConfigError: When there is no such robot, or as `ArmKinematics`.
+        """
+        arm = self[robot] = ArmKinematics(self._library.robot(robot))
+        return arm
 
 
 def _pose(placement: pin.SE3) -> Pose:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from roboxim_bringup.cores import CoreSegmentation
 from roboxim_core.errors import ConfigError, RecorderError, RoboximError
-from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.kinematics import ArmKinematics, Arms
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.user_folders import expanded
 from roboxim_datasets.audit import AUDIT_CHECKS, AuditEpisode, Auditor, AuditResult, Finding
@@ -184,7 +184,7 @@ def _ports(config: AuditConfig, stack: ExitStack) -> TruthPorts:
     sim = World(library) if config.replay else None
     if sim is not None:
         stack.callback(sim.close)
-    return TruthPorts(library=library, segmentation=segmentation, sim=sim)
+    return TruthPorts(library=library, segmentation=segmentation, sim=sim, arms=Arms(library))
 
 
 # ------------------------------------------------------------------ episodes
@@ -304,8 +304,6 @@ def _arm(episode: Episode, ports: TruthPorts) -> ArmKinematics | None:
     """Return the arm of an episode; None: the robot or the order of its joints is not known."""
     if episode.robot not in ports.library.robot_ids:
         return None
-    if episode.robot not in ports.arms:
-        ports.arms[episode.robot] = ArmKinematics(ports.library.robot(episode.robot))
     arm = ports.arms[episode.robot]
     return arm if tuple(episode.joint_names) == tuple(arm.model.joint_names) else None
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, RoboximError
-from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.kinematics import Arms
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, drawn_entities
 from roboxim_core.plain_data.documents import parse_json
@@ -71,8 +71,8 @@ class TruthPorts:
     """The renderer of segmentation images; none: visibility and colours are not measured."""
     sim: ReplayPort | None = None
     """The simulator; none: actions are not executed again."""
-    arms: dict[str, ArmKinematics] = field(default_factory=dict)
-    """Kinematics by robot, made when they are needed."""
+    arms: Arms
+    """Kinematics by robot."""
 
 
 class BagTruth:

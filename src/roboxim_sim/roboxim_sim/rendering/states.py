@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.kinematics import Arms
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
 from roboxim_core.specs import SceneSpec
@@ -21,7 +21,7 @@ class StateRenderer:
         self.renderer = renderer
         self._library = library
         self._loaded: SceneSpec | None = None
-        self._arms: dict[str, ArmKinematics] = {}
+        self._arms = Arms(library)
 
     def draw(self, scene: SceneSpec, state: StateRecord, *, colour: bool = True) -> dict[str, CameraImages]:
         """Return the images of a state from each camera of a scene; loads a scene once for many states and cameras.
@@ -41,10 +41,7 @@ class StateRenderer:
             self._loaded = None
             self.renderer.load(render_world(scene, self._library))
             self._loaded = bodies
-        model = scene.robot.model
-        if model not in self._arms:
-            self._arms[model] = ArmKinematics(self._library.robot(model))
-        poses = ScenePoses(scene, self._library, self._arms[model])
+        poses = ScenePoses(scene, self._library, self._arms[scene.robot.model])
         cameras = poses.camera_poses(state.robot)
         views = [(camera, cameras[camera.name]) for camera in scene.cameras]
         return draw_frames(self.renderer, state.seq, poses.body_poses(state), views, colour=colour)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roboxim_core.errors import ConfigError, RoboximError
-from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.kinematics import ArmKinematics, Arms
 from roboxim_core.limits import is_file_name
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
@@ -75,7 +75,7 @@ class Desk:
         """Edit a document."""
         self.history = History(document)
         self._library, self._bench, self._lab = library, bench, lab
-        self._arms: dict[str, ArmKinematics] = {}
+        self._arms = Arms(library)
         self.own_files = OwnFiles()
         """Files that saving may replace."""
         self.lock = threading.RLock()
@@ -108,14 +108,10 @@ class Desk:
             scene: The scene; none: the document's.
         """
         scene = scene or self.scene
-        model = scene.robot.model
-        if model not in self._arms:
-            self._arms[model] = ArmKinematics(self._library.robot(model))
-        return start_of(scene, self._arms[model])
+        return start_of(scene, self._arms[scene.robot.model])
 
     def arm(self) -> ArmKinematics:
         """Return the kinematics of the document's robot."""
-        self.state()
         return self._arms[self.scene.robot.model]
 
     def edit(self, change: Callable[[FixedTask], FixedTask]) -> str:

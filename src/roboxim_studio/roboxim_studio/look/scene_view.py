@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
-from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.kinematics import Arms
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, render_world
 from roboxim_core.poses import Pose
@@ -64,7 +64,7 @@ class SceneView:
         self._compass: list[Any] = []
         self._compass_of: tuple[Pose, TableSpec] | None = None
         self._poses: ScenePoses | None = None
-        self._arms: dict[str, ArmKinematics] = {}
+        self._arms = Arms(library)
         self._frame = server.scene.add_frame(root, show_axes=False)
         self._objects_clicked: Callable[[str], None] | None = None
 
@@ -86,8 +86,6 @@ class SceneView:
             ConfigError: When a model, a texture or a camera's parent is unknown; the scene before then remains.
         """
         world = render_world(scene, self._library)
-        if scene.robot.model not in self._arms:
-            self._arms[scene.robot.model] = ArmKinematics(self._library.robot(scene.robot.model))
         self._poses = ScenePoses(scene, self._library, self._arms[scene.robot.model])
         self.scene = scene
         self._frame.position = (0.0, offset_y_m, 0.0)

@@ -8,7 +8,7 @@ from typing import Any
 
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import RoboximError
-from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.kinematics import Arms
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Pose
 from roboxim_core.seeds import PURPOSES, SeedPath
@@ -20,6 +20,7 @@ from roboxim_studio.look.scene_view import SceneView, wxyz
 from roboxim_studio.panels import markup
 from roboxim_studio.panels.editor import NOTHING, EditorPanel, pose_of
 from roboxim_studio.panels.editor_forms import by_person
+from roboxim_studio.panels.pictures import show_pictures
 from roboxim_studio.serving.site import Site
 
 PERIOD_S = 0.05
@@ -55,7 +56,7 @@ class LivePanel:
         """The object that the gizmo moves."""
         self.ghost = Ghost(site.viser, library, "/live/planner")
         """What the graph's planner sees, and its newest path."""
-        self._arms: dict[str, ArmKinematics] = {}
+        self._arms = Arms(library)
         self._ghost_of: tuple[object, ...] = ()
         self._calls = Bench()  # a slow service must not delay what is drawn
         self._lock = threading.RLock()
@@ -153,12 +154,7 @@ class LivePanel:
             self._follow_selected(seen)
             self._show_ghost(seen)
         self._facts.content = markup.facts(self._rows(seen), "live-facts")
-        for name, image in seen.images.items():
-            if name in self._images:
-                self._images[name].image = image
-            else:
-                with self._pictures:
-                    self._images[name] = self._gui.add_image(image, label=name, jpeg_quality=85)
+        show_pictures(self._gui, self._pictures, self._images, seen.images)
 
     def _show_ghost(self, seen: Seen) -> None:
         """Show the newest path and, if wanted, what the planner sees; only what has changed is sent again."""
@@ -171,8 +167,6 @@ class LivePanel:
         self._ghost_of, model = now, scene.robot.model
         if not wanted:
             self.ghost.hide_scene()
-        if model not in self._arms:
-            self._arms[model] = ArmKinematics(self._library.robot(model))
         self.ghost.show_joint_path(scene, self._arms[model], seen.path)
         if wanted and seen.path:
             opening = min(1.0, max(0.0, seen.state.robot.gripper_opening))

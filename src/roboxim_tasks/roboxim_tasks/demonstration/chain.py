@@ -36,7 +36,7 @@ def solve_all(solver: Solver, view: ExpertScene, seed: int) -> tuple[Solution, .
             again.cause = f"step {number}, {error.cause}"
             raise again from None
         if number < len(steps):
-            view = after(view, solutions[-1], solver.arm(view.scene.robot.model))
+            view = after(view, solutions[-1], solver.arms[view.scene.robot.model])
     return tuple(solutions)
 
 

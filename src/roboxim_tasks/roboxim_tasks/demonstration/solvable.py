@@ -112,7 +112,7 @@ class Solvability:
         return bool(self._direct.obstruction(self._view(task, scene), straight))
 
     def _view(self, task: TaskSpec, scene: SceneSpec) -> ExpertScene:
-        state = state_at_rest(scene, self._solver.arm(scene.robot.model))
+        state = state_at_rest(scene, self._solver.arms[scene.robot.model])
         return ExpertScene(task=task, scene=scene, state=state, library=self._library)
 
 

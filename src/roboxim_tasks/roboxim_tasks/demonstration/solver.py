@@ -13,7 +13,7 @@ import numpy as np
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import PlannerError, PolicyError
-from roboxim_core.kinematics import ArmKinematics, ControllerState, DeltaController, delta_between
+from roboxim_core.kinematics import Arms, ControllerState, DeltaController, delta_between
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import Array, Pose, distance
 from roboxim_core.surroundings import Surroundings
@@ -103,11 +103,11 @@ class Solver:
             direct: Whether to go straight from stage to stage without the planner: the solver then takes the first
                 candidate that the arm can follow.
         """
-        self._library = library
         self._planner = planner
         self._direct = direct
         self._config = config or SpeedConfig()
-        self._arms: dict[str, ArmKinematics] = {}
+        self.arms = Arms(library)
+        """Kinematics by robot."""
 
     def solve(self, view: ExpertScene, candidates: Iterable[tuple[Stage, ...]], seed: int) -> Solution:
         """Return the first feasible candidate.
@@ -191,7 +191,7 @@ class Solver:
     def _try(self, view: ExpertScene, stages: tuple[Stage, ...], seed: int, cache: _Cache) -> _Rolled | _Blocked:
         """Roll out and verify a candidate, one run of stages between standstills after the other."""
         controller = DeltaController(
-            self.arm(view.scene.robot.model),
+            self.arms[view.scene.robot.model],
             workspace=view.scene.workspace,
             pose_base_in_world=view.scene.robot.pose,
             semantics=ActionSemantics(rate_hz=view.scene.control_rate_hz),
@@ -273,7 +273,7 @@ class Solver:
 
     def _detour(self, view: ExpertScene, stage: Stage, joints: Array, seed: int) -> tuple[Pose, ...]:
         assert stage.pose is not None
-        arm = self.arm(view.scene.robot.model)
+        arm = self.arms[view.scene.robot.model]
         goal = view.scene.robot.pose @ stage.pose
         poses = [arm.fk(row) for row in self._planner.plan_to_pose(joints, goal, _around(view, stage), seed)]
         kept = [poses[0]]
@@ -281,12 +281,6 @@ class Solver:
             if np.linalg.norm(np.subtract(pose.position, kept[-1].position)) >= PLANNED_VIA_STEP_M:
                 kept.append(pose)
         return tuple(kept[1:])
-
-    def arm(self, model: str) -> ArmKinematics:
-        """Return the kinematics of a robot by its model's name."""
-        if model not in self._arms:
-            self._arms[model] = ArmKinematics(self._library.robot(model))
-        return self._arms[model]
 
 
 def _roll_out(

@@ -10,7 +10,7 @@ from functools import partial
 from roboxim_core.config import to_json
 from roboxim_core.episode import Draw
 from roboxim_core.errors import ConfigError, ErrorCode, TaskError
-from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.kinematics import Arms
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
@@ -52,7 +52,7 @@ class EpisodeGenerator:
         self._library = library
         self._solvability = solvability
         self._visibility = visibility
-        self._arms: dict[str, ArmKinematics] = {}
+        self._arms = Arms(library)
         self.last_reset: ResetContext | None = None
         """The newest reset: how often it drew, and what refused its draws."""
 
@@ -188,7 +188,7 @@ class EpisodeGenerator:
             config=config,
             task=task,
             library=self._library,
-            arm=self._arm(config.base_scene().robot.model),
+            arm=self._arms[config.base_scene().robot.model],
             ordinal=ordinal,
             way_blocked=partial(self._solvability.way_blocked, task) if self._solvability else None,
         )
@@ -215,11 +215,6 @@ class EpisodeGenerator:
             cause = self._solvability.refusal(task, scene, context.seed.derived_seed("policy"))
             if cause is not None:
                 raise RejectedError(CONSTRAINT, cause)
-
-    def _arm(self, model: str) -> ArmKinematics:
-        if model not in self._arms:
-            self._arms[model] = ArmKinematics(self._library.robot(model))
-        return self._arms[model]
 
 
 def _check_unambiguous(base: SceneSpec, config: TaskConfig, task: TaskSpec, wording: Wording) -> None:

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.kinematics import ArmKinematics
+from roboxim_core.kinematics import ArmKinematics, Arms
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import ScenePoses, camera_parent, drawn_entities
 from roboxim_core.poses import Pose, distance
@@ -62,7 +62,7 @@ class DeliveryReader:
         """Use a library of models; renderers are made when a bag needs them."""
         self._library = library
         self._renderers: dict[str, StateRenderer] = {}
-        self._arms: dict[str, ArmKinematics] = {}
+        self._arms = Arms(library)
 
     def close(self) -> None:
         """Free the renderers."""
@@ -118,7 +118,7 @@ class DeliveryReader:
             positions={role: _vec(base.apply(tick.state.entity(name).pose.position)) for role, name in roles.items()},
             start=_vec(base.apply(tick.state.robot.pose_tcp_measured.position)),
             cameras={
-                camera.name: View(parent=_parent(camera, self._arm(info.scene)), pose=camera.pose)
+                camera.name: View(parent=_parent(camera, self._arms[info.scene.robot.model]), pose=camera.pose)
                 for camera in info.scene.cameras
             },
             look=_look(info.scene),
@@ -159,18 +159,12 @@ class DeliveryReader:
         model = self._library.entity_model(entity)
         return {"mass_kg": sum(link.mass for link in model.links), "friction_coefficient": model.friction.lateral}
 
-    def _arm(self, scene: SceneSpec) -> ArmKinematics:
-        model = scene.robot.model
-        if model not in self._arms:
-            self._arms[model] = ArmKinematics(self._library.robot(model))
-        return self._arms[model]
-
     def _with_pictures(
         self, shown: Shown, own: Mapping[str, str], scene: SceneSpec, tick: BagTick, demand: Demand, renderer: str
     ) -> Shown:
         if renderer not in self._renderers:
             self._renderers[renderer] = StateRenderer(make_renderer(renderer), self._library)
-        arm = self._arm(scene)
+        arm = self._arms[scene.robot.model]
         cameras = tuple(
             replace(_demanded(camera, demand, arm), segmentation=True, depth=False, rate_hz=0.0)
             for camera in scene.cameras
