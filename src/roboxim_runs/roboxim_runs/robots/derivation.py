@@ -26,6 +26,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.urdf import joint_axis, number, origin_pose, urdf_materials, urdf_root
 from roboxim_core.poses import Pose
 from roboxim_runs.robots.collision_pairs import srdf_text
+from roboxim_runs.robots.elements import fixed_joint, massless, write
 from roboxim_runs.robots.gripper_derivation import plain
 from roboxim_runs.robots.grippers import Gripper, below, gripper, mounted
 from roboxim_runs.robots.home import home_of, same_place
@@ -82,19 +83,15 @@ def derive(
         root = ElementTree.Element("robot", {"name": recipe.name})
         root.extend(list(arm.elements(inside, report)))
         root.extend(stand(recipe, inside, arm.own(arm.base)))
-        mount = ElementTree.SubElement(root, "joint", {"name": f"{recipe.name}_mount_joint", "type": "fixed"})
-        ElementTree.SubElement(mount, "parent", {"link": arm.own(arm.flange)})
-        ElementTree.SubElement(mount, "child", {"link": f"{recipe.name}_{tool.root.removeprefix(tool.prefix)}"})
-        place = arm.mount
-        origin = {"xyz": _text(place.position), "rpy": _text(place.rotation.as_euler("xyz"))}
-        ElementTree.SubElement(mount, "origin", origin)
+        hand = f"{recipe.name}_{tool.root.removeprefix(tool.prefix)}"
+        xyz, rpy = _text(arm.mount.position), _text(arm.mount.rotation.as_euler("xyz"))
+        root.append(fixed_joint(f"{recipe.name}_mount_joint", arm.own(arm.flange), hand, xyz=xyz, rpy=rpy))
         root.extend(mounted(tool, recipe.name, inside, lambda name: f"{recipe.name}_{name}"))
-        ElementTree.indent(root)
         urdf = inside / f"{recipe.name}.urdf"
-        ElementTree.ElementTree(root).write(urdf, encoding="utf-8", xml_declaration=True)
+        write(root, urdf)
         report("sampling which links can touch")
-        hand = frozenset(tool.model(lambda name: f"{recipe.name}_{name}").links)
-        (inside / f"{recipe.name}.srdf").write_text(srdf_text(recipe.name, urdf, together=hand))
+        together = frozenset(tool.model(lambda name: f"{recipe.name}_{name}").links)
+        (inside / f"{recipe.name}.srdf").write_text(srdf_text(recipe.name, urdf, together=together))
         file.write_text(_yaml(recipe, values))
         if not recipe.home:
             report("searching a home pose")
@@ -435,14 +432,6 @@ class ShippedArm(Arm):
         self._require_home(list(zip(limits["lower"], limits["upper"], strict=True)))
         home = list(spread(self.recipe.home, len(self.joints), "home") if self.recipe.home else self.model.home)
         return self._file(tool, limits, home, list(self.model.motor_force), self.model.position_gain)
-
-
-def massless() -> Element:
-    """Return the inertial element of a frame; PyBullet gives a link without one a mass of 1 kg."""
-    made = ElementTree.Element("inertial")
-    ElementTree.SubElement(made, "mass", {"value": "0"})
-    ElementTree.SubElement(made, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
-    return made
 
 
 def _child(joint: Element) -> str:

@@ -26,6 +26,7 @@ from roboxim_core.models.urdf import urdf_materials
 from roboxim_core.poses import Array
 from roboxim_planner.collisions.geometry import convex_hull
 from roboxim_planner.robot import PlannerRobot
+from roboxim_runs.robots.elements import fixed_joint, massless, write
 from roboxim_runs.robots.grippers import below
 from roboxim_runs.robots.link_meshes import LinkMeshes
 from roboxim_runs.robots.reading import expanded
@@ -127,11 +128,11 @@ def derive_gripper(
         made.extend(_link(link, meshes, recipe.tips) for link in links.values())
         made.extend(_joint(joint) for joint in joints.values())
         urdf = inside / f"{recipe.name}.urdf"
-        _write(made, urdf)
+        write(made, urdf)
         followers = tuple(_followers(joints, recipe))
         rows, reach_m, arm_m = _measured(urdf, recipe, followers)
         _tcp(made, recipe.root, reach_m - TIP_BEYOND_TCP_M)
-        _write(made, urdf)
+        write(made, urdf)
         report(f"opens to {1e3 * rows[-1][0]:.1f} mm; finger tips reach {1e3 * reach_m:.1f} mm from the flange")
         moving = [name for name, link in links.items() if name not in (recipe.root, *recipe.tips)]
         tool = GripperModel(
@@ -185,9 +186,7 @@ def _link(link: Element, meshes: LinkMeshes, tips: tuple[str, str]) -> Element:
     made.extend(meshes.visual(link) + meshes.collision(link, TIP_M if name in tips else None))
     inertial = link.find("inertial")
     if inertial is None:
-        inertial = ElementTree.Element("inertial")
-        ElementTree.SubElement(inertial, "mass", {"value": "0"})
-        ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
+        inertial = massless()
     elif name != HAND:
         for part, keys, minimum in (("mass", ("value",), LIGHT_KG), ("inertia", ("ixx", "iyy", "izz"), LIGHT_KG_M2)):
             for key in keys:
@@ -204,20 +203,10 @@ def _joint(joint: Element) -> Element:
     return made
 
 
-def _write(root: Element, file: Path) -> None:
-    ElementTree.indent(root)
-    ElementTree.ElementTree(root).write(file, encoding="utf-8", xml_declaration=True)
-
-
 def _tcp(root: Element, parent: str, z_m: float) -> None:
     link = ElementTree.SubElement(root, "link", {"name": TCP})
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "mass", {"value": "0"})
-    ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
-    joint = ElementTree.SubElement(root, "joint", {"name": f"{TCP}_joint", "type": "fixed"})
-    ElementTree.SubElement(joint, "parent", {"link": parent})
-    ElementTree.SubElement(joint, "child", {"link": TCP})
-    ElementTree.SubElement(joint, "origin", {"xyz": f"0 0 {z_m:.6f}", "rpy": "0 0 0"})
+    link.append(massless())
+    root.append(fixed_joint(f"{TCP}_joint", parent, TCP, xyz=f"0 0 {z_m:.6f}"))
 
 
 def _followers(joints: dict[str, Element], recipe: GripperRecipe) -> list[FollowerJoint]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
+from roboxim_runs.robots.elements import fixed_joint, massless
 from roboxim_runs.robots.link_meshes import LinkMeshes
 from roboxim_runs.robots.recipe import RobotRecipe
 
@@ -41,10 +42,6 @@ def stand(recipe: RobotRecipe, folder: Path, base: str) -> list[Element]:
     if not any(recipe.base_xyz):
         return []
     link = ElementTree.Element("link", {"name": root_link(recipe, base)})
-    joint = ElementTree.Element("joint", {"name": f"{recipe.name}_stand_joint", "type": "fixed"})
-    ElementTree.SubElement(joint, "parent", {"link": str(link.get("name"))})
-    ElementTree.SubElement(joint, "child", {"link": base})
-    ElementTree.SubElement(joint, "origin", {"xyz": f"{x:g} {y:g} {z:g}", "rpy": "0 0 0"})
     if z > 0.0:
         for tag in ("visual", "collision"):
             shape = ElementTree.SubElement(link, tag)
@@ -59,7 +56,6 @@ def stand(recipe: RobotRecipe, folder: Path, base: str) -> list[Element]:
         for element in list(link):
             link.remove(element)
         link.extend(shapes)
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "mass", {"value": "0"})
-    ElementTree.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0"))
-    return [link, joint]
+    link.append(massless())
+    name = f"{recipe.name}_stand_joint"
+    return [link, fixed_joint(name, root_link(recipe, base), base, xyz=f"{x:g} {y:g} {z:g}")]
