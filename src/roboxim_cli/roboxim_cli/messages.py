@@ -128,19 +128,14 @@ def message_from_plain(cls: Any, data: Any, *, where: str = "") -> Any:
     if data is None:
         return message
     if not isinstance(data, Mapping):
-        raise ConfigError(f"{where or cls.__name__}: expected fields of {_type_name(cls)} as a mapping, got {data!r}")
+        raise ConfigError(f"{where or cls.__name__}: expected fields of {full_name(cls)} as a mapping, got {data!r}")
     fields = dict(zip(cls.get_fields_and_field_types(), cls.SLOT_TYPES, strict=True))
     for name, value in data.items():
         path = f"{where}.{name}" if where else str(name)
         if name not in fields:
-            raise ConfigError(f"unknown field '{path}' of {_type_name(cls)}; {one_of(fields, str(name))}")
+            raise ConfigError(f"unknown field '{path}' of {full_name(cls)}; {one_of(fields, str(name))}")
         setattr(message, name, _value(fields[name], value, path))
     return message
-
-
-def _type_name(cls: Any) -> str:
-    package, kind = cls.__module__.split(".")[:2]
-    return f"{package}/{kind}/{cls.__name__}"
 
 
 def _value(kind: Any, value: Any, path: str) -> Any:

@@ -221,6 +221,12 @@ def one_of(choices: Iterable[str], given: str) -> str:
     return f"expected one of: {', '.join(names) or '(none registered)'}{f' ({hint})' if hint else ''}"
 
 
+def listed(names: Iterable[str]) -> str:
+    """Return names as a sentence lists them, e.g. ``a, b and c``."""
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last
+
+
 def nearest(choices: Iterable[str], given: str) -> str:
     """Return a hint at what was probably meant, e.g. ``"did you mean 'cube'?"``; empty: none is near, nor holds it."""
     names = [str(name) for name in choices]  # a member of an enumeration would be shown as code

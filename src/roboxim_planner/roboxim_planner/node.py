@@ -366,7 +366,7 @@ class PlannerNode(RoboximNode):
         planner = self._planner(msg.robot)
         robot = planner.robot
         joints = robot.check_joints(convert.joints_from_msg(msg.state, robot.description, what="state"), what="state")
-        fingers = convert.fingers_from_msg(msg.state, robot.description, what="state")
+        fingers = convert.fingers_from_msg(msg.state, robot.description)
         base = convert.optional_pose(msg.robot_pose_in_world, what="robot_pose_in_world")
         links = list(msg.links) or [robot.description.tcp_link]
         poses = [base @ robot.fk(joints, link, fingers) for link in links]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from roboxim_core.config import from_plain, to_plain
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, listed
 from roboxim_eval.benchmark.config import Reference
 from roboxim_eval.benchmark.scores import benchmark_scores
 from roboxim_eval.experiments.card import Card, sha256_of
@@ -84,18 +84,12 @@ class BenchmarkCard:
 def dimension_sentence(name: str, score: CardDimension) -> str:
     """Return the score of a dimension in words."""
     if score.relative is None:
-        ratio = f"no relative score, since the ratio of {_listed(score.refused)} is refused"
+        ratio = f"no relative score, since the ratio of {listed(score.refused)} is refused"
     else:
         ratio = f"{percent_text(score.relative)} of the baseline"
     baseline = f"the baseline has {rate_text(score.baseline)}, a gap of {points_text(score.gap)}"
-    among = f"mean of {_listed(score.experiments)}"
+    among = f"mean of {listed(score.experiments)}"
     return f"{name}: {rate_text(score.absolute)} absolute, {ratio}; {baseline}; {among}."
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return names in a sentence, e.g. ``a, b and c``."""
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last
 
 
 def rate_text(bounds: Bounds) -> str:

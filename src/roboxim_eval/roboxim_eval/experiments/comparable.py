@@ -9,11 +9,11 @@ levels.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import PurePath
 from typing import Any
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, listed
 from roboxim_core.plain_data.differences import differences
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card
@@ -108,7 +108,7 @@ def circumstances(cards: Mapping[str, Card], condition: str) -> Iterator[str]:
             if value:
                 groups.setdefault(value, []).append(name)
         if len(groups) > 1:
-            groups_text = "; ".join(f"{value} ({_listed(names)})" for value, names in groups.items())
+            groups_text = "; ".join(f"{value} ({listed(names)})" for value, names in groups.items())
             yield f"The runs differ in {what}, too: {groups_text}. A difference of the models may be due to that."
 
 
@@ -139,9 +139,3 @@ def _datasets_of(card: Card, condition: str) -> list[str]:
     trained = card.experiment.config.conditions[condition].checkpoint_of or condition
     trainings = sorted((t for t in card.trainings if t.condition == trained), key=lambda t: t.replicate)
     return [training.dataset for training in trainings]
-
-
-def _listed(names: Iterable[str]) -> str:
-    """Return names as a list in words, e.g. ``a, b and c``."""
-    *rest, last = names
-    return f"{', '.join(rest)} and {last}" if rest else last

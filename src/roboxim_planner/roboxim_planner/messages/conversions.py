@@ -86,7 +86,7 @@ def joints_from_msg(msg: JointState, robot: RobotModel, *, what: str) -> Array:
     return np.array([positions[names.index(name)] for name in robot.joint_names], dtype=float)
 
 
-def fingers_from_msg(msg: JointState, robot: RobotModel, *, what: str) -> tuple[float, ...]:
+def fingers_from_msg(msg: JointState, robot: RobotModel) -> tuple[float, ...]:
     """Return the positions of the fingers' driven joints [m or rad] in a joint state; empty: it names none of them.
 
     A finger that it does not name moves as the other one. Joints that follow others are not read.
@@ -97,7 +97,7 @@ def fingers_from_msg(msg: JointState, robot: RobotModel, *, what: str) -> tuple[
     given = dict(zip(msg.name, msg.position, strict=False))
     known = [float(given[name]) for name in robot.gripper.joint_names if name in given]
     if not np.isfinite(known).all():
-        raise InvalidRequestError(f"{what}: positions of fingers must be finite, got {known}")
+        raise InvalidRequestError(f"state: positions of fingers must be finite, got {known}")
     return tuple(float(given.get(name, known[0])) for name in robot.gripper.joint_names) if known else ()
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, listed
 from roboxim_eval.film_options import FilmOptions
-from roboxim_runs.evaluation.report import REPORT_FILE, doubts_about, listed, stored_record
+from roboxim_runs.evaluation.report import REPORT_FILE, doubts_about, stored_record
 from roboxim_runs.evaluation.results import PolicyResult
 from roboxim_runs.evaluation.shown import shown_runs
 from roboxim_runs.storage.folder import RunFolder

@@ -6,13 +6,13 @@ The report is imported where it is needed: the import takes seconds.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, listed
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.plain_data.results_log import RESULTS_FILE
 from roboxim_core.whole_files import write_whole
@@ -202,12 +202,6 @@ def _first_info(result: PolicyResult) -> EpisodeInfo | None:
         return None
     with readable_run(result.folder, [first.bag]) as run:
         return BagReader(run / first.bag).info
-
-
-def listed(names: Iterable[str]) -> str:
-    """Return names as a sentence lists them, e.g. ``a, b and c``."""
-    *others, last = names
-    return f"{', '.join(others)} and {last}" if others else last
 
 
 def timing_line(results: Sequence[EpisodeResult]) -> str:

@@ -21,13 +21,13 @@ from typing import Any
 
 from roboxim_core.config import from_plain
 from roboxim_core.episode import EpisodeResult
-from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
+from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, listed
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.results_log import RESULTS_FILE, RUN_FILE, line_of
 from roboxim_core.whole_files import write_whole
 from roboxim_recorder.bag_writer import PLACES, disk_errors
 from roboxim_runs.episodes.generation import write_first_demonstrations
-from roboxim_runs.evaluation.report import RECORD_FILE, REPORT_FILE, EvaluationRecord, listed, report_of, stored_record
+from roboxim_runs.evaluation.report import RECORD_FILE, REPORT_FILE, EvaluationRecord, report_of, stored_record
 from roboxim_runs.events import OnEvent, Reporter, ReportProgress, ignore
 from roboxim_runs.storage.folder import (
     MAY_DIFFER,
