@@ -26,14 +26,13 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.urdf import joint_axis, number, origin_pose, urdf_materials, urdf_root
 from roboxim_core.poses import Pose
 from roboxim_runs.robots.collision_pairs import srdf_text
-from roboxim_runs.robots.elements import fixed_joint, massless, write
 from roboxim_runs.robots.gripper_derivation import plain
 from roboxim_runs.robots.grippers import Gripper, below, gripper, mounted
 from roboxim_runs.robots.home import home_of, same_place
 from roboxim_runs.robots.link_meshes import LinkMeshes
-from roboxim_runs.robots.reading import expanded
 from roboxim_runs.robots.recipe import NAME_PATTERN, RobotRecipe, source_file, spread
 from roboxim_runs.robots.stand import covered, root_link, stand
+from roboxim_runs.robots.urdf_files import expanded, fixed_joint, massless, write
 
 Element = ElementTree.Element
 SHAPES = ("visual", "collision")

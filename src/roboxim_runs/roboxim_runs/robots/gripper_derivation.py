@@ -26,11 +26,10 @@ from roboxim_core.models.urdf import urdf_materials
 from roboxim_core.poses import Array
 from roboxim_planner.collisions.geometry import convex_hull
 from roboxim_planner.robot import PlannerRobot
-from roboxim_runs.robots.elements import fixed_joint, massless, write
 from roboxim_runs.robots.grippers import below
 from roboxim_runs.robots.link_meshes import LinkMeshes
-from roboxim_runs.robots.reading import expanded
 from roboxim_runs.robots.recipe import source_file
+from roboxim_runs.robots.urdf_files import expanded, fixed_joint, massless, write
 
 Element = ElementTree.Element
 HAND, TCP = "hand", "hand_tcp"

@@ -8,9 +8,9 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
-from roboxim_runs.robots.elements import fixed_joint, massless
 from roboxim_runs.robots.link_meshes import LinkMeshes
 from roboxim_runs.robots.recipe import RobotRecipe
+from roboxim_runs.robots.urdf_files import fixed_joint, massless
 
 Element = ElementTree.Element
 SIDE_M = 0.12

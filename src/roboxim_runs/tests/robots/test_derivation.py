@@ -22,8 +22,8 @@ from roboxim_runs.robots.collision_pairs import srdf_text
 from roboxim_runs.robots.derivation import Arm, derive
 from roboxim_runs.robots.grippers import gripper
 from roboxim_runs.robots.link_meshes import coloured
-from roboxim_runs.robots.reading import expanded
 from roboxim_runs.robots.recipe import RobotRecipe
+from roboxim_runs.robots.urdf_files import expanded
 
 JOINTS = (("0 0 0.15", "0 0 1"), ("0 0 0.15", "0 1 0"), ("0 0 0.35", "0 1 0"),
           ("0 0 0.2", "0 0 1"), ("0 0 0.15", "0 1 0"), ("0 0 0.1", "0 0 1"))  # fmt: skip

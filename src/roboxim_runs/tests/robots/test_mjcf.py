@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from roboxim_core.errors import ConfigError
-from roboxim_runs.robots.reading import expanded
+from roboxim_runs.robots.urdf_files import expanded
 
 ARM = """<mujoco model="small">
   <compiler angle="{angle}" meshdir="meshes"/>
