@@ -24,7 +24,7 @@ from roboxim_core.policy_guard import GuardedPolicy
 from roboxim_policies.base import BasePolicy
 from roboxim_policies.serving.batches import Batched, Batcher
 from roboxim_policies.serving.instances import Instances
-from roboxim_policies.serving.websocket import WebSocketServer
+from roboxim_policies.serving.websocket import OpenPiServer
 from roboxim_policies.wires import openpi
 from roboxim_policies.wires.openpi import OWN_SERVER
 from roboxim_policies.wires.own import extras_in
@@ -95,7 +95,7 @@ def answers_batches(kind: type[Any]) -> bool:
     return callable(own) and getattr(own, "__func__", own) is not vars(BasePolicy)["act_batch"].__func__
 
 
-class SharedServer(WebSocketServer):
+class SharedServer(OpenPiServer):
     """The server; each connection is one simulator."""
 
     sessions: SharedSessions  # type: ignore[assignment]
@@ -122,18 +122,8 @@ class SharedServer(WebSocketServer):
             return connection.respond(http.HTTPStatus.UNAUTHORIZED, "the key is wrong\n")
         return super()._health(connection, request)
 
-    def _talk(self, connection: Any, session: Any) -> None:
-        connection.send(openpi.encode(self.metadata))
-        for message in connection:
-            try:
-                reply = self._reply(session, openpi.decode(message) if isinstance(message, bytes) else None)
-            except Exception as error:  # a policy may raise anything
-                connection.send(self._describe_error(error))
-                connection.close(1011, "Internal server error. The error is in the previous frame.")
-                return
-            connection.send(reply)
-
-    def _reply(self, policy: GuardedPolicy, request: Any) -> bytes | str:
+    def _reply(self, policy: Any, message: bytes | str) -> bytes | str:
+        request = openpi.decode(message) if isinstance(message, bytes) else None
         if not isinstance(request, dict) or not isinstance(request.get("prompt"), str):
             raise InvalidRequestError("a request must be a binary MessagePack map with a prompt")
         if request.get("endpoint") == "reset":

@@ -11,106 +11,42 @@ Messages are MessagePack maps, arrays as on openpi's wire. A connection is one e
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
-from typing import Any, Self
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
 from roboxim_core.config_folders import config_names
 from roboxim_core.errors import InvalidRequestError, RoboximError, UnavailableError, one_of, printable
-from roboxim_policies.serving.listening import QUIET, BoundedListener
+from roboxim_policies.serving.websocket import WebSocketServer
 from roboxim_policies.wires import openpi
-from roboxim_policies.wires.arrays import MESSAGE_BYTES
 from roboxim_runs.environments.gymnasium_env import RoboXimEnv
 
 ARGUMENTS: Mapping[str, type | tuple[type, ...]] = {
     "task": str, "size": int, "control": str, "rate": (int, float), "max_steps": int,
 }  # fmt: skip
 """What a client may choose. It cannot name files: tasks are those of ``config/tasks``."""
-STOPS = "the server stops"
 LARGEST_SIZE = 1024
 """Largest side of a client's pictures [px]."""
 
 
-class EnvironmentServer:
+class EnvironmentServer(WebSocketServer):
     """A server of environments, in its own threads; a context manager. Web pages are refused."""
 
-    def __init__(
-        self, *, host: str = "127.0.0.1", port: int = 8765, max_environments: int = 8, all_users: bool = False,
-        log: Callable[[str], None] = lambda text: None,
-    ) -> None:  # fmt: skip
+    def __init__(self, *, port: int = 8765, max_environments: int = 8, **options: Any) -> None:
         """Prepare a server.
 
         Args:
-            host: Address to listen at. Whoever connects can run episodes.
             port: Port to listen at; 0: any.
             max_environments: Largest number of environments at the same time.
-            all_users: Whether other users of this machine may connect to a loopback address.
-            log: Receives a line for each connection and each error.
+            **options: Arguments of `PolicyServer`. Whoever connects can run episodes.
         """
-        self.host, self.port = host, port
-        self._max_environments, self._all_users, self._log = max_environments, all_users, log
-        self._places = threading.Semaphore(max_environments)
-        self._connections: set[Any] = set()
-        self._stops = False
-        self._thread: threading.Thread | None = None
+        super().__init__(_Environments(max_environments), port=port, **options)  # type: ignore[arg-type]
 
-    @property
-    def url(self) -> str:
-        """Address of the server."""
-        return f"ws://[{self.host}]:{self.port}" if ":" in self.host else f"ws://{self.host}:{self.port}"
-
-    def __enter__(self) -> Self:
-        """Listen.
-
-        Raises:
-            UnavailableError: When the port is taken.
-        """
-        from websockets.sync.server import serve
-
-        try:
-            listener = BoundedListener.at(self.host, self.port, all_users=self._all_users, log=self._log)
-            self._server = serve(
-                self._connected, sock=listener, compression=None,
-                max_size=MESSAGE_BYTES, ping_interval=None,
-                close_timeout=1.0, origins=[None], logger=QUIET,
-            )  # fmt: skip
-        except (OSError, TypeError, UnicodeError) as error:  # the last two: of a host that is no name
-            raise UnavailableError(f"cannot listen at {self.url}: {error}; choose another --port") from None
-        self.port = self._server.socket.getsockname()[1]
-        self._thread = threading.Thread(target=self._server.serve_forever, name=f"serve {self.url}", daemon=True)
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Stop listening, and end all connections."""
-        self._stops = True
-        self._server.shutdown()
-        for connection in list(self._connections):
-            connection.close(1001, STOPS)
-        if self._thread is not None:
-            self._thread.join()
-
-    def _connected(self, connection: Any) -> None:
-        from websockets.exceptions import ConnectionClosed
-
-        if not self._places.acquire(blocking=False):
-            connection.close(1013, f"the server has {self._max_environments} environments already")
-            return
-        self._connections.add(connection)
-        served = _Served()
-        try:
-            if self._stops:  # it came while the others were closed
-                connection.close(1001, STOPS)
-                return
-            for message in connection:
-                connection.send(openpi.encode(self._answered(served, message)))
-        except ConnectionClosed:
-            pass
-        finally:
-            served.close()
-            self._connections.discard(connection)
-            self._places.release()
+    def _talk(self, connection: Any, session: Any) -> None:
+        for message in connection:
+            connection.send(openpi.encode(self._answered(session, message)))
 
     def _answered(self, served: _Served, message: bytes | str) -> dict[str, Any]:
         try:
@@ -120,8 +56,33 @@ class EnvironmentServer:
             ((kind, value),) = request.items()
             return served.answer(str(kind), value)
         except RoboximError as error:
-            self._log(str(error))
-            return {"error": f"{type(error).__name__}: {printable(error)}"}
+            return {"error": self._describe_error(error)}
+
+
+class _Environments:
+    """The environments of all connections."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._places = most, threading.Semaphore(most)
+
+    @contextmanager
+    def session(self) -> Iterator[_Served]:
+        """Yield a place for an environment.
+
+        Raises:
+            UnavailableError: When there are too many.
+        """
+        if not self._places.acquire(blocking=False):
+            raise UnavailableError(f"the server has {self._most} environments already")
+        served = _Served()
+        try:
+            yield served
+        finally:
+            served.close()
+            self._places.release()
+
+    def close(self) -> None:
+        """Do nothing: each connection frees its own."""
 
 
 class _Served:
