@@ -69,7 +69,7 @@ class LiveRecording:
 
     def listen(self, graph: Graph) -> None:
         """Subscribe to the topics that are new in the graph."""
-        from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+        from roboxim_ros.qos import offered
 
         for topic, types in graph.topics().items():
             if topic in self._subscriptions or (self._wanted and topic not in self._wanted):
@@ -80,14 +80,7 @@ class LiveRecording:
             except (ConfigError, ImportError, AttributeError, ValueError) as error:
                 self.left_out.append(f"{topic} of type {types[0]}: {error}")
                 continue
-            offered = [end.qos_profile for end in graph.node.get_publishers_info_by_topic(topic)]
-            latched = offered and all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
-            reliable = offered and all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
-            qos = QoSProfile(
-                history=HistoryPolicy.KEEP_LAST, depth=1000,
-                reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-                durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-            )  # fmt: skip
+            qos = offered(graph.node, topic, 1000)
             self._schemas[topic] = schema
             self._layouts[topic] = message_layout(schema)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 
@@ -25,3 +26,26 @@ RECORDING = _profile(200, DurabilityPolicy.TRANSIENT_LOCAL)
 """For recorders: deep enough for a slow disk. The recorder recognises old messages by their source time."""
 LATCHED = _profile(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """For values that a late subscriber also needs: scene, episode info."""
+
+
+def offered(node: Node, topic: str, depth: int, *, fresh: bool = False) -> QoSProfile:
+    """Return a QoS that every publisher of a topic offers, as ros2 chooses it.
+
+    A reliable subscriber hears no best-effort publisher, and a transient local one, which sees latched messages, no
+    volatile publisher.
+
+    Args:
+        node: The node that subscribes.
+        topic: Full name.
+        depth: Largest number of messages that wait.
+        fresh: Whether to be volatile in any case, and see no latched messages.
+    """
+    offers = [end.qos_profile for end in node.get_publishers_info_by_topic(topic)]
+    reliable = offers and all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
+    latched = offers and all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched and not fresh else DurabilityPolicy.VOLATILE,
+    )

@@ -213,11 +213,12 @@ def _listen(
 
     from roboxim_cli.messages import look_up
     from roboxim_core.errors import RequestTimeoutError
+    from roboxim_ros.qos import offered
 
     found = type_name or peer.type_of("topic", name, peer.topics)
     cls = look_up(found, "msg")
     inbox: queue.Queue[Any] = queue.Queue()
-    qos = _offered(peer, absolute(name), fresh=fresh)
+    qos = offered(peer.node, absolute(name), 100, fresh=fresh)
     subscription = peer.node.create_subscription(cls, absolute(name), inbox.put, qos, raw=fresh)
     peer.wake()
     begun = received = time.monotonic()
@@ -240,22 +241,3 @@ def _listen(
         return
     finally:
         peer.node.destroy_subscription(subscription)
-
-
-def _offered(peer: Peer, name: str, *, fresh: bool) -> Any:
-    """Return a QoS that every publisher of a topic offers, as ros2 chooses it.
-
-    A reliable subscriber hears no best-effort publisher, and a transient local one, which sees latched messages, no
-    volatile publisher. Without ``fresh`` the subscriber is transient local where that is possible.
-    """
-    from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-
-    offers = [end.qos_profile for end in peer.node.get_publishers_info_by_topic(name)]
-    reliable = offers and all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
-    latched = offers and all(offer.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=100,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched and not fresh else DurabilityPolicy.VOLATILE,
-    )
