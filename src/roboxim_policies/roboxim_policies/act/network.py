@@ -21,7 +21,7 @@ from roboxim_policies.act.config import ACTConfig
 from roboxim_policies.learning.attention import Attention, normalised
 from roboxim_policies.learning.data import TARGET_SIZE
 from roboxim_policies.learning.encoded_network import Perception, relu_layers
-from roboxim_policies.learning.layers import Dense, Inputs, Prediction, TargetHead, turned
+from roboxim_policies.learning.layers import Dense, Inputs, Prediction, TargetHead, predicted
 
 
 class Network(eqx.Module):
@@ -71,11 +71,7 @@ class Network(eqx.Module):
         answers = normalised(self.decoder(queries, tokens))
         repeated = jnp.broadcast_to(known[:, None], (*answers.shape[:2], known.shape[-1]))
         action = self.action_head(relu_layers([self.action_trunk], jnp.concatenate([answers, repeated], axis=-1)))
-        horizontal = action[..., :2] + turned(action[..., 8:], inputs.heading[:, None])
-        return Prediction(
-            motion=jnp.concatenate([horizontal, action[..., 2:6]], axis=-1), closed=action[..., 6],
-            opening=action[..., 7], target=target, camera_targets=seen.camera_targets,
-        )  # fmt: skip
+        return predicted(action, inputs, target, seen.camera_targets)
 
 
 def make_network(

@@ -25,7 +25,7 @@ from jax.flatten_util import ravel_pytree
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.learning.data import TARGET_SIZE
 from roboxim_policies.learning.features import STATE_SIZE
-from roboxim_policies.learning.layers import Dense, Inputs, Prediction, TargetHead, turned
+from roboxim_policies.learning.layers import Dense, Inputs, Prediction, TargetHead, predicted
 from roboxim_policies.learning.points import POINT_SIZE, PointEncoder
 
 CAMERA_HIDDEN = 128
@@ -92,11 +92,7 @@ class Network(eqx.Module):
         for layer in self.action_trunk:
             x = jax.nn.relu(layer(x))
         action = self.action_head(x).reshape(-1, self.chunk, 10)
-        horizontal = action[..., :2] + turned(action[..., 8:], inputs.heading[:, None])
-        return Prediction(
-            motion=jnp.concatenate([horizontal, action[..., 2:6]], axis=-1), closed=action[..., 6],
-            opening=action[..., 7], target=target, camera_targets=camera_targets,
-        )  # fmt: skip
+        return predicted(action, inputs, target, camera_targets)
 
 
 def make_network(

@@ -99,6 +99,22 @@ class Prediction(eqx.Module):
     """The same from each camera alone."""
 
 
+def predicted(action: Array, inputs: Inputs, target: Array, camera_targets: list[Array]) -> Prediction:
+    """Return the output of a network.
+
+    Args:
+        action: Shape (B, chunk, 10): motion, closed, opening, and a horizontal motion in the tool's frame.
+        inputs: Its input.
+        target: See `Prediction`.
+        camera_targets: See `Prediction`.
+    """
+    horizontal = action[..., :2] + turned(action[..., 8:], inputs.heading[:, None])
+    return Prediction(
+        motion=jnp.concatenate([horizontal, action[..., 2:6]], axis=-1), closed=action[..., 6],
+        opening=action[..., 7], target=target, camera_targets=camera_targets,
+    )  # fmt: skip
+
+
 class Network(Protocol):
     """A network of any family."""
 

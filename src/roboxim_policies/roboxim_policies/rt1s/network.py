@@ -22,7 +22,7 @@ from jax.flatten_util import ravel_pytree
 from roboxim_policies.learning.attention import Attention, normalised
 from roboxim_policies.learning.data import TARGET_SIZE
 from roboxim_policies.learning.encoded_network import Perception, relu_layers
-from roboxim_policies.learning.layers import Dense, Inputs, Prediction, TargetHead, turned
+from roboxim_policies.learning.layers import Dense, Inputs, Prediction, TargetHead, predicted
 from roboxim_policies.rt1s.config import RT1SConfig
 
 
@@ -70,11 +70,7 @@ class Network(eqx.Module):
         target = self.target_head(jnp.concatenate([x, aims, common], axis=-1), inputs.heading)
         x = relu_layers(self.action_trunk, jnp.concatenate([x, target, common], axis=-1))
         action = self.action_head(x).reshape(-1, self.chunk, 10)
-        horizontal = action[..., :2] + turned(action[..., 8:], inputs.heading[:, None])
-        return Prediction(
-            motion=jnp.concatenate([horizontal, action[..., 2:6]], axis=-1), closed=action[..., 6],
-            opening=action[..., 7], target=target, camera_targets=seen.camera_targets,
-        )  # fmt: skip
+        return predicted(action, inputs, target, seen.camera_targets)
 
     def _through_time(self, tokens: Array, present: Array | None) -> Array:
         """Return each observation's query token after it has attended to its window's past."""
