@@ -20,6 +20,8 @@ from roboxim_datasets.account import Account
 from roboxim_datasets.episode import EXECUTED, METADATA, OWN_FIELDS, Episode, ImageSize, MetaValue, Step, Wanted
 from roboxim_datasets.files import file_in
 
+CONVENTION_FILE = "convention.yaml"
+"""File beside a dataset with the meaning of its numbers; ``evaluate --option convention=`` takes it."""
 EXPORT_FILE = "export.json"
 """File beside every dataset with the source and the settings of its export."""
 _FACTS: Mapping[str, type] = {

@@ -26,7 +26,7 @@ from roboxim_core.shards import Shard
 from roboxim_datasets.account import Part, Treatment, to_json
 from roboxim_datasets.build import only_build
 from roboxim_datasets.card import card_path, write_card
-from roboxim_datasets.dataset import EXPORT_FILE, Dataset, Description, in_order
+from roboxim_datasets.dataset import CONVENTION_FILE, EXPORT_FILE, Dataset, Description, in_order
 from roboxim_datasets.episode import OWN_FIELDS, Episode, MetaValue, Step, Wanted
 from roboxim_datasets.files import file_in, has_file, reading
 from roboxim_datasets.plans import Plan
@@ -36,7 +36,6 @@ from roboxim_datasets.rlds.episodes import USUAL_KEYS
 _NAME = re.compile(r"[^./\\][^/\\]{0,99}")
 _COUNTED = re.compile(r"(?:simulated )?episodes\b")
 _COUNT = re.compile(rf"^\d+ (?={_COUNTED.pattern})")
-CONVENTION_FILE = "convention.yaml"
 Progress = Callable[[int, int], None]
 
 

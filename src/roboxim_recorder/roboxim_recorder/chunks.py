@@ -23,7 +23,8 @@ from mcap.writer import MCAP0_MAGIC
 
 StampedMessage = tuple[Channel, int, memoryview]
 """Channel, time of recording [ns] and serialised message, which shares the memory of its chunk (about 1.5 MB)."""
-_RECORD = struct.Struct("<BQ")  # opcode, length
+RECORD = struct.Struct("<BQ")
+"""Opcode and length of any record."""
 _CHUNK = struct.Struct("<QQQI")  # first time, last time, size and CRC-32 of the records
 _LENGTH, _LONG_LENGTH = struct.Struct("<I"), struct.Struct("<Q")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, time of recording, time of publishing
@@ -80,13 +81,13 @@ def refuse_bombs(stream: IO[bytes]) -> None:
     """
     stream.seek(0, 2)
     end, at = stream.tell(), len(MCAP0_MAGIC)
-    while at + _RECORD.size <= end:
+    while at + RECORD.size <= end:
         stream.seek(at)
-        opcode, length = _RECORD.unpack(stream.read(_RECORD.size))
+        opcode, length = RECORD.unpack(stream.read(RECORD.size))
         claims = _claim(stream) if opcode == Opcode.CHUNK else length
         if claims > LARGEST_CHUNK:
             raise ValueError(f"the record at byte {at} claims to hold {claims} bytes; at most {LARGEST_CHUNK} are read")
-        at += _RECORD.size + length
+        at += RECORD.size + length
     stream.seek(0)
 
 
@@ -137,10 +138,10 @@ def _records(stream: IO[bytes], chunk: ChunkIndex) -> bytes:
     """Return the records of a chunk."""
     stream.seek(chunk.chunk_start_offset)
     raw = stream.read(chunk.chunk_length)
-    opcode, length = _RECORD.unpack_from(raw)
-    if opcode != Opcode.CHUNK or _RECORD.size + length > len(raw):
+    opcode, length = RECORD.unpack_from(raw)
+    if opcode != Opcode.CHUNK or RECORD.size + length > len(raw):
         raise ValueError(f"byte {chunk.chunk_start_offset} is not the start of a whole chunk")
-    at = _RECORD.size
+    at = RECORD.size
     _, _, size, crc = _CHUNK.unpack_from(raw, at)
     at += _CHUNK.size
     at += _LENGTH.size + _LENGTH.unpack_from(raw, at)[0]  # the name of the compression, which the index also holds
@@ -157,8 +158,8 @@ def _records(stream: IO[bytes], chunk: ChunkIndex) -> bytes:
 def _messages(records: bytes, wanted: set[int], channels: Mapping[int, Channel]) -> Iterator[StampedMessage]:
     at, end, view = 0, len(records), memoryview(records)
     while at < end:
-        opcode, length = _RECORD.unpack_from(records, at)
-        start, at = at + _RECORD.size, at + _RECORD.size + length
+        opcode, length = RECORD.unpack_from(records, at)
+        start, at = at + RECORD.size, at + RECORD.size + length
         if at > end:
             raise ValueError("a record ends behind its chunk")
         if opcode != Opcode.MESSAGE:

@@ -24,6 +24,7 @@ from roboxim_core.models.visuals import render_world
 from roboxim_core.poses import IDENTITY
 from roboxim_core.specs import MaterialSpec, SceneSpec
 from roboxim_core.vision.renderer import TriangleMesh, VisualPart
+from roboxim_ros.messages.packing import ENCAPSULATION
 from roboxim_ros.messages.serialising import (
     header_message,
     message,
@@ -44,8 +45,6 @@ GRID_M = 2.0**-13
 LEFT_OUT = ("wall", "floor")
 """Entities that would hide the scene from a viewer."""
 MARKER_ARRAY = "visualization_msgs/msg/MarkerArray"
-ENCAPSULATION = b"\x00\x01\x00\x00"
-"""First bytes of a message in little-endian CDR; alignment is counted from their end."""
 _COUNT, _ID = struct.Struct("<I"), struct.Struct("<i")
 ROBOT = "robot"
 """Namespace of the robot's markers, so that a viewer can hide them where it has the meshes."""

@@ -26,11 +26,12 @@ from roboxim_core.rotation.representations import (
     identity_rotation,
 )
 
-_SCALABLE = (
+SCALABLE = (
     RotationRepresentation.EULER_XYZ_EXTRINSIC,
     RotationRepresentation.EULER_XYZ_INTRINSIC,
     RotationRepresentation.ROTATION_VECTOR,
 )
+"""Representations whose three numbers are angles, which a scale multiplies."""
 _RANGES = ("translation_range", "rotation_range", "joint_range")
 
 
@@ -106,13 +107,13 @@ class ActionOutput:
             limits.require_finite(name, [getattr(self, name)], 1e6)
             if getattr(self, name) == 0.0:
                 raise InvalidRequestError(f"{name} must not be 0")
-        if self.rotation_scale_rad != 1.0 and self.rotation not in _SCALABLE:
+        if self.rotation_scale_rad != 1.0 and self.rotation not in SCALABLE:
             raise InvalidRequestError(f"rotation_scale_rad must be 1 with rotation '{self.rotation}'")
         for name in _RANGES:
             bounds = getattr(self, name)
             if bounds and not (len(bounds) == 2 and bounds[0] < bounds[1]):
                 raise InvalidRequestError(f"{name} must be two numbers, low and high, got {list(bounds)}")
-        if self.rotation_range and self.rotation not in _SCALABLE:
+        if self.rotation_range and self.rotation not in SCALABLE:
             raise InvalidRequestError(f"rotation_range must be left out with rotation '{self.rotation}'")
         if self.normalisation and len(self.normalisation.first) not in (0, size):
             raise InvalidRequestError(
@@ -120,7 +121,7 @@ class ActionOutput:
             )
         if self.response and not meaning.is_vector_delta:
             raise InvalidRequestError(
-                f"response needs control 'end_effector_delta' and a rotation of {_SCALABLE}, got '{self.control}' and "
+                f"response needs control 'end_effector_delta' and a rotation of {SCALABLE}, got '{self.control}' and "
                 f"'{self.rotation}'"
             )
         if not self.keys:

@@ -13,7 +13,7 @@ from roboxim_core.actions import ControlMode, DeltaBase, Ensemble, ReferenceFram
 from roboxim_core.conventions.convention import Convention, decode_actions
 from roboxim_core.conventions.images import ImageInput, Layout, Resize
 from roboxim_core.conventions.normalisation import NormalisationKind
-from roboxim_core.conventions.outputs import ActionOutput
+from roboxim_core.conventions.outputs import SCALABLE, ActionOutput
 from roboxim_core.conventions.states import StateField, StateInput, StatePart
 from roboxim_core.rotation.representations import Floats, RotationRepresentation, decode, encode, gripper_down
 
@@ -291,7 +291,7 @@ def _effect(convention: Convention, row: Floats, index: int, name: str) -> str:
         direction = _DIRECTIONS[axis][0 if shift[axis] > 0 else 1] if action.frame != ReferenceFrame.TOOL else ""
         where = f" ({direction})" if direction else ""
         return f"moves {1e3 * abs(shift[axis]):.4g} mm along {'-' if shift[axis] < 0 else '+'}{'xyz'[axis]}{where}"
-    if action.rotation not in _READABLE:
+    if action.rotation not in SCALABLE:
         return f"sets {name} of the rotation"
     vector = decode(row[3:-1], action.rotation).as_rotvec()
     axis = int(np.argmax(np.abs(vector)))
@@ -301,11 +301,6 @@ def _effect(convention: Convention, row: Floats, index: int, name: str) -> str:
 
 
 _DIRECTIONS = (("forwards", "backwards"), ("to the left", "to the right"), ("up", "down"))
-_READABLE = (
-    RotationRepresentation.EULER_XYZ_EXTRINSIC,
-    RotationRepresentation.EULER_XYZ_INTRINSIC,
-    RotationRepresentation.ROTATION_VECTOR,
-)
 
 
 def _unit(unit: str, part: StatePart) -> str:

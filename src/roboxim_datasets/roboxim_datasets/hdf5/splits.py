@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from roboxim_datasets.dataset import SPLITS
 from roboxim_datasets.files import reading
 from roboxim_datasets.hdf5.layout import MASKS
 from roboxim_datasets.hdf5.tree import text_of
 
 _SPLITS = {mask: split for split, mask in MASKS.items()}
-_ORDER = ("train", "val", "test")
 Masks = Mapping[str, set[str] | None]
 """Mask to the names that it lists; None: it is not a list of names."""
 
@@ -40,7 +40,7 @@ def splits_of(names: Sequence[str], masks: Masks, *, own: bool) -> Splits:
     lost: dict[str, str] = {}
     taken: set[str] = set()
     named_masks = {_SPLITS.get(mask, mask): mask for mask in masks}
-    order = tuple(dict.fromkeys((*_ORDER, *named_masks))) if own else _ORDER
+    order = tuple(dict.fromkeys((*SPLITS, *named_masks))) if own else SPLITS
     for mask, members in masks.items():
         if _SPLITS.get(mask, mask) not in order:
             lost[mask] = "not one of train, valid, test"

@@ -9,8 +9,6 @@ from typing import Any
 from roboxim_core.config import to_plain
 from roboxim_core.conventions import Convention
 
-CONVENTION_FILE = "convention.yaml"
-
 
 def convention_text(convention: Convention) -> str:
     """Return a convention as YAML, without the fields that have their default."""

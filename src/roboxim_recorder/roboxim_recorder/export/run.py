@@ -16,11 +16,11 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_datasets.build import only_build
 from roboxim_datasets.card import card_path, write_card
-from roboxim_datasets.dataset import EXPORT_FILE, DatasetWriter, EncodingWriter
+from roboxim_datasets.dataset import CONVENTION_FILE, EXPORT_FILE, DatasetWriter, EncodingWriter
 from roboxim_datasets.formats import FORMATS
 from roboxim_recorder.bag_writer import disk_errors
 from roboxim_recorder.export.content import Content, content_of
-from roboxim_recorder.export.convention_file import CONVENTION_FILE, convention_text
+from roboxim_recorder.export.convention_file import convention_text
 from roboxim_recorder.export.episodes import exported_episode
 from roboxim_recorder.export.fit import firsts_of_robots
 from roboxim_recorder.export.processes import add_in_processes, available_cores

@@ -22,15 +22,13 @@ from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
-from roboxim_recorder.chunks import LARGEST_CHUNK
+from roboxim_recorder.chunks import LARGEST_CHUNK, RECORD
 
 _COMPRESSION = b"\x04\x00\x00\x00zstd"
 """Length and name of a chunk's compression, as every chunk of the recorder has them."""
 _PREFIX = struct.Struct("<BQQQQI")
 """Fields before them: opcode, length, first and last time, size and checksum of the decompressed records."""
 _LENGTH = struct.Struct("<Q")
-_RECORD = struct.Struct("<BQ")
-"""Opcode and length of any record."""
 _OUTSIDE = frozenset(Opcode) - {Opcode.CHUNK, Opcode.MESSAGE}
 """Records between chunks or after them."""
 Bytes = bytes | mmap.mmap
@@ -134,12 +132,12 @@ def _between(data: Bytes, start: int, end: int, *, last: bool) -> Iterator[Damag
     if last and data[end - len(MCAP0_MAGIC) : end] == MCAP0_MAGIC and end - len(MCAP0_MAGIC) >= at:
         stop = end - len(MCAP0_MAGIC)
     footer = False
-    while at + _RECORD.size <= stop:
-        opcode, length = _RECORD.unpack_from(data, at)
-        if opcode not in _OUTSIDE or at + _RECORD.size + length > stop:
+    while at + RECORD.size <= stop:
+        opcode, length = RECORD.unpack_from(data, at)
+        if opcode not in _OUTSIDE or at + RECORD.size + length > stop:
             break
         footer = opcode == Opcode.FOOTER
-        at += _RECORD.size + length
+        at += RECORD.size + length
     if at < stop:
         yield Damage(start=at, end=end, what=_what(data, at, stop, last=last))
     elif last and not (footer and stop < end):
@@ -148,10 +146,10 @@ def _between(data: Bytes, start: int, end: int, *, last: bool) -> Iterator[Damag
 
 def _what(data: Bytes, at: int, stop: int, *, last: bool) -> str:
     """Return the fault of the record at a byte."""
-    if last and stop - at < _RECORD.size:
+    if last and stop - at < RECORD.size:
         return "the file ends within a record"
-    opcode, length = _RECORD.unpack_from(data, at) if stop - at >= _RECORD.size else (0, 0)
-    cut = last and at + _RECORD.size + length > stop
+    opcode, length = RECORD.unpack_from(data, at) if stop - at >= RECORD.size else (0, 0)
+    cut = last and at + RECORD.size + length > stop
     if opcode == Opcode.CHUNK:
         return "the file ends within a chunk" if cut else "a chunk whose checksum is wrong"
     return "the file ends within a record" if cut and opcode in _OUTSIDE else "no readable record"

@@ -17,8 +17,8 @@ from roboxim_core.conventions import Convention, load_convention, to_actions
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.specs import SceneSpec
 from roboxim_core.state import StateRecord
+from roboxim_datasets.dataset import CONVENTION_FILE
 from roboxim_datasets.episode import Episode
-from roboxim_recorder.export.convention_file import CONVENTION_FILE
 
 Decode = Callable[[npt.NDArray[np.float32], StateRecord], ActionArray]
 """Returns the action to execute after a state, for an action of the dataset."""

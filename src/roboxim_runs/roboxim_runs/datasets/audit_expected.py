@@ -14,13 +14,12 @@ from typing import Any
 from roboxim_core.config import from_plain
 from roboxim_core.errors import RoboximError
 from roboxim_datasets.choosing import edited
-from roboxim_datasets.dataset import Dataset
+from roboxim_datasets.dataset import CONVENTION_FILE, Dataset
 from roboxim_datasets.episode import Episode, whole_id
 from roboxim_datasets.where import Choice, Edit
 from roboxim_recorder.acted import is_shared
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.export.content import Content, content_of
-from roboxim_recorder.export.convention_file import CONVENTION_FILE
 from roboxim_recorder.export.episodes import exported_episode
 from roboxim_recorder.export.registry import EXPORTERS
 from roboxim_recorder.export.selection import Selection, exported_sources, in_order, selected

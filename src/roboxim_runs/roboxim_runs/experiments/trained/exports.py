@@ -13,10 +13,10 @@ from typing import Any
 from roboxim_core.config import from_plain
 from roboxim_core.conventions import load_convention
 from roboxim_core.errors import ConfigError, InvalidRequestError, one_of
+from roboxim_datasets.dataset import CONVENTION_FILE
 from roboxim_eval.experiments import ExperimentConfig
 from roboxim_eval.experiments.trainers import TrainerConfig
 from roboxim_recorder.export import EXPORTERS, Selection
-from roboxim_recorder.export.convention_file import CONVENTION_FILE
 
 OURS = (
     "val_fraction", "split", "only_successful", "keep_recovered", "where", "per_cell", "cell_counts", "uneven",
