@@ -79,8 +79,8 @@ def test_saved_yaml_gives_the_same_scene_hash_in_generation_and_evaluation(studi
     editor.edit(lambda d: edits.modified(d, "target", "color", "blue", LIBRARY))
     editor.edit(lambda d: edits.with_instruction(d, "Pick up the blue cube"))
     look = desk.scene.look
-    sun = replace(look.lights[0], intensity=1.1)
-    editor.edit(lambda d: edits.with_light(d, 0, sun))
+    brighter = (replace(look.lights[0], intensity=1.1), *look.lights[1:])
+    editor.edit(lambda d: edits.with_look(d, replace(look, lights=brighter)))
     assert desk.refresh().result(timeout=120).valid, desk.checks.text
     file = editor.save("my_scene")
     assert file.parent == tmp_path

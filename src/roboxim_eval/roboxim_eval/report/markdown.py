@@ -108,10 +108,6 @@ def _count(arm: Arm, cell: str) -> str:
     return f"{found.successes} of {found.episodes}" if found and found.episodes else "-"
 
 
-def _percent(value: float) -> str:
-    return f"{100 * value:.0f} %"
-
-
 def _provenance(facts: Mapping[str, str]) -> str:
     return "; ".join(f"{name} {value}" for name, value in facts.items() if value != "-") + "."
 

@@ -189,12 +189,6 @@ def line_profile(
     return durations[kept], coefficients[:, kept]
 
 
-@dataclass(kw_only=True)
-class _Corner:
-    distance: float
-    speed: float = 0.0
-
-
 class TcpRates:
     """Speed of the TCP per unit of joint path, to apply limits of its speed."""
 

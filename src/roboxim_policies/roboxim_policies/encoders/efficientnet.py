@@ -130,10 +130,3 @@ def features(weights: Weights, pixels: Array, strides: tuple[int, ...]) -> dict[
         if reached in strides:
             found[reached] = x
     return found
-
-
-def classify(weights: Weights, pixels: Array) -> Array:
-    """Return the scores of ImageNet's 1,000 classes, shape (B, 1000), from colours 0..255 of shape (B, 224, 224, 3)."""
-    x = features(weights, pixels, (32,))[32]
-    pooled = _relu6(_pointwise(x, weights["head"])).mean(axis=(1, 2))
-    return jnp.asarray(pooled @ weights["classes"]["kernel"] + weights["classes"]["bias"])

@@ -19,7 +19,6 @@ from roboxim_core.policies import Observation
 from roboxim_core.proprioception import STATE_SIZE
 from roboxim_runs.environments.session import EpisodeSession, SessionConfig
 
-Array = npt.NDArray[Any]
 STATE_BOUND = 10.0
 """Bound of ``agent_pos``, far outside of what an arm reaches [m]."""
 DRAWN_SEEDS = 2**31

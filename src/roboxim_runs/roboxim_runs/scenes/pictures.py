@@ -38,7 +38,6 @@ from roboxim_tasks.task_config import TaskConfig
 
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom [px]."""
-RgbImage = npt.NDArray[np.uint8]
 HEIGHT_PX = 384
 """Height of the pictures."""
 FINER = 2

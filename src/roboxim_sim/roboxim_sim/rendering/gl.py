@@ -20,8 +20,6 @@ from roboxim_core.models.mesh_files import Stamp
 from roboxim_sim.rendering import textures
 from roboxim_sim.rendering.geometry import VERTEX, VERTEX_FORMAT, VERTEX_NAMES, PackedWorld
 
-Array = npt.NDArray[np.float64]
-
 PACKAGES = "libegl1 libgl1-mesa-dri"
 """Debian and Ubuntu packages that provide software GL."""
 SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software")

@@ -53,16 +53,6 @@ class Question:
         return f"{self.actor} from tick {self.tick}{moved}{f', without {self.without}' if self.without else ''}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Answer:
-    """What happened."""
-
-    film: Film
-    """The other episode."""
-    differs_at: int | None
-    """First tick whose state differs from the recorded one; None: none does."""
-
-
 def first_difference(one: Film, other: Film) -> int | None:
     """Return the first tick whose states differ, or that one of them lacks; None: all are the same, bit for bit."""
     pairs = itertools.zip_longest(one.states, other.states)
@@ -72,8 +62,8 @@ def first_difference(one: Film, other: Film) -> int | None:
 def simulate(
     graph: CoreGraph, film: Film, question: Question, actor: ActorPort | None = None, *,
     on_tick: OnTick = lambda *_: None, cancelled: Callable[[], bool] = lambda: False,
-) -> Answer:  # fmt: skip
-    """Execute an episode again up to a tick, and continue as the question demands.
+) -> Film:  # fmt: skip
+    """Execute an episode again up to a tick, continue as the question demands, and return the other episode.
 
     Args:
         graph: The cores; of this thread.
@@ -104,8 +94,7 @@ def simulate(
         graph, draw, actor or _Recorded(film), seed, config=config, sim=sim, on_tick=on_tick, cancelled=cancelled,
         repeat=repeat,
     )  # fmt: skip
-    other = replace(other, title=f"{info.episode_id}: {question.words}")
-    return Answer(film=other, differs_at=first_difference(film, other))
+    return replace(other, title=f"{info.episode_id}: {question.words}")
 
 
 def _checked(film: Film, question: Question, actor: ActorPort | None) -> tuple[TaskSpec, SceneSpec]:

@@ -20,7 +20,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.plain_data.documents import parse_json
 from roboxim_core.poses import Pose
 from roboxim_core.rates import DEFAULT_RATE_HZ, ticks
-from roboxim_core.specs import CameraSpec, EntitySpec, LightSpec, LookSpec, RobotSpec, Scalar, SceneSpec, TaskSpec
+from roboxim_core.specs import CameraSpec, EntitySpec, LookSpec, RobotSpec, Scalar, SceneSpec, TaskSpec
 from roboxim_tasks.fixed_scene import FixedScene, FixedTask, FixedTaskConfig, fixed_task_config
 from roboxim_tasks.limits import limits_of
 from roboxim_tasks.roles import DISTRACTOR, GENERAL, STAY
@@ -276,13 +276,6 @@ def without_camera(document: FixedTask, name: str) -> FixedTask:
     if name not in names:
         raise ConfigError(f"no camera '{name}' in the scene; {one_of(names, name)}")
     return with_scene(document, replace(scene, cameras=tuple(one for one in scene.cameras if one.name != name)))
-
-
-def with_light(document: FixedTask, number: int, light: LightSpec) -> FixedTask:
-    """Return the document with a light replaced."""
-    look = document.fixed.scene.look
-    lights = tuple(light if place == number else one for place, one in enumerate(look.lights))
-    return with_look(document, replace(look, lights=lights))
 
 
 def with_look(document: FixedTask, look: LookSpec) -> FixedTask:

@@ -21,10 +21,6 @@ IN, OUT = "- ", "+ "
 """Before an entry that is chosen, which choosing it again leaves out, and before one that is not."""
 
 
-Toggle = Callable[[str], object]
-"""Takes a word in, or out."""
-
-
 class TaskForm:
     """Composes one task; `made` is the task that is drawn."""
 

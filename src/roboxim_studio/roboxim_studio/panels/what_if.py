@@ -8,7 +8,7 @@ from typing import Any
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_studio.acting.lab import Lab
-from roboxim_studio.acting.what_if import ACTORS, RECORDED, Answer, Question, first_difference, simulate
+from roboxim_studio.acting.what_if import ACTORS, RECORDED, Question, first_difference, simulate
 from roboxim_studio.bench import Bench
 from roboxim_studio.episode.film import Film, ending
 from roboxim_studio.look.scene_view import SceneView
@@ -31,8 +31,8 @@ class WhatIfPanel:
         self._cancel = threading.Event()
         self.other: Film | None = None
         """The episode that is shown beside; None: none is."""
-        self.answer: Answer | None = None
-        """The newest answer."""
+        self.answer: Film | None = None
+        """The newest answer: the other episode."""
         gui = self._gui
         self.folder = gui.add_folder("What if", expand_by_default=False, visible=False)
         with self.folder:
@@ -86,7 +86,7 @@ class WhatIfPanel:
         self._beside.clear()
         self.other = None
 
-    def _simulate(self, film: Film, question: Question) -> Answer | None:
+    def _simulate(self, film: Film, question: Question) -> Film | None:
         try:
             actor = None if question.actor == RECORDED else self._lab.actor(question.actor)
             self.answer = simulate(
@@ -97,7 +97,7 @@ class WhatIfPanel:
             self._show_message(str(error), alert=True)
             return None
         if self._episode.film is film:
-            self.compare(self.answer.film)
+            self.compare(self.answer)
         return self.answer
 
     def _progress(self, seq: int) -> None:
