@@ -144,46 +144,14 @@ class PlannerRobot:
         Raises:
             ConfigError: If the description does not list the joints from base to tip.
         """
-        return self._native_arm(0.0)
+        if self._joint_ids != sorted(self._joint_ids):
+            raise ConfigError(f"robot '{self.description.id}': joint_names must go from the base to the tip")
+        return self.kinematics.native_arm()
 
     @cached_property
     def arm_within_limits(self) -> native.Arm:
         """The arm with slightly tighter limits, so that a smooth curve through configurations keeps the real ones."""
-        return self._native_arm(_INSIDE_RAD)
-
-    def _native_arm(self, margin: float) -> native.Arm:
-        if self._joint_ids != sorted(self._joint_ids):
-            raise ConfigError(f"robot '{self.description.id}': joint_names must go from the base to the tip")
-        data = self._at_zero(1.0)
-        pin.computeJointJacobians(self.model, data, self.full(np.zeros(self.dof)))
-        axes, prismatic = [], []
-        for i in self._joint_ids:
-            motion = pin.getJointJacobian(self.model, data, i, pin.LOCAL)[:, self.model.joints[i].idx_v]
-            prismatic.append(bool(np.linalg.norm(motion[3:]) < 0.5))
-            axes.append(np.array(motion[:3] if prismatic[-1] else motion[3:]))
-        parents = [self._moves_with(self.model.parents[i]) for i in self._joint_ids]
-        frames = [data.oMi[i] for i in self._joint_ids]
-        bases = [pin.SE3.Identity() if k < 0 else frames[k] for k in parents]
-        tcp_joint, tcp = self.tcp_attachment
-        return native.Arm(
-            parents=parents,
-            placements=np.array([base.actInv(frame).homogeneous for base, frame in zip(bases, frames, strict=True)]),
-            axes=np.array(axes),
-            prismatic=prismatic,
-            lower=self.lower + margin,
-            upper=self.upper - margin,
-            tcp_joint=tcp_joint,
-            tcp=tcp,
-        )
-
-    @cached_property
-    def tcp_attachment(self) -> tuple[int, Array]:
-        """Index of the arm joint that the TCP moves with (-1: none), and its pose in that joint's frame, (4, 4)."""
-        data = self._at_zero(1.0)
-        pin.updateFramePlacements(self.model, data)
-        joint = self._moves_with(self.model.frames[self.tcp_frame].parentJoint)
-        frame = pin.SE3.Identity() if joint < 0 else data.oMi[self._joint_ids[joint]]
-        return joint, frame.actInv(data.oMf[self.tcp_frame]).homogeneous
+        return self.kinematics.native_arm(_INSIDE_RAD)
 
     def link_shapes(self, opening: float) -> tuple[LinkShape, ...]:
         """Return the links' convex parts in the order of ``geometry``, with the fingers at an opening of 0..1."""

@@ -89,7 +89,14 @@ class ArmKinematics:
         self.velocity = np.array(model.limits.velocity)
         self._order = np.argsort(self._arm)
         """Indices into the model's joints that sort them from the base to the tip."""
-        self._native = self._native_arm()
+        self._ids = [self._pin.getJointId(model.joint_names[k]) for k in self._order]
+        pin.framesForwardKinematics(self._pin, self._data, self._q)
+        joint = self._moves_with(self._pin.frames[self._tcp].parentJoint)
+        frame = pin.SE3.Identity() if joint < 0 else self._data.oMi[self._ids[joint]]
+        self.tcp_attachment: tuple[int, Array] = joint, frame.actInv(self._data.oMf[self._tcp]).homogeneous
+        """Index of the arm joint, from the base to the tip, that the TCP moves with (-1: none), and its pose in that
+        joint's frame, shape (4, 4)."""
+        self._native = self.native_arm()
 
     @property
     def link_names(self) -> tuple[str, ...]:
@@ -246,39 +253,40 @@ class ArmKinematics:
         pin.forwardKinematics(self._pin, self._data, self._q)
         return pin.updateFramePlacement(self._pin, self._data, self._tcp)
 
-    def _native_arm(self) -> Arm:
-        """Return the native kernel's model of the arm, with joints ordered from the base to the tip."""
+    def native_arm(self, margin: float = 0.0) -> Arm:
+        """Return the native kernel's model of the arm, with joints ordered from the base to the tip.
+
+        Args:
+            margin: By how much its limits are tighter [rad].
+        """
         import pinocchio as pin
 
-        ids = [self._pin.getJointId(self.model.joint_names[k]) for k in self._order]
         pin.computeJointJacobians(self._pin, self._data, pin.neutral(self._pin))
-        pin.updateFramePlacements(self._pin, self._data)
         axes, prismatic = [], []
-        for i in ids:
+        for i in self._ids:
             motion = pin.getJointJacobian(self._pin, self._data, i, pin.LOCAL)[:, self._pin.joints[i].idx_v]
             prismatic.append(bool(np.linalg.norm(motion[3:]) < 0.5))
             axes.append(np.array(motion[:3] if prismatic[-1] else motion[3:]))
-        parents = [self._moves_with(self._pin.parents[i], ids) for i in ids]
-        frames = [pin.SE3(self._data.oMi[i]) for i in ids]
+        parents = [self._moves_with(self._pin.parents[i]) for i in self._ids]
+        frames = [self._data.oMi[i] for i in self._ids]
         bases = [pin.SE3.Identity() if k < 0 else frames[k] for k in parents]
-        tcp_joint = self._moves_with(self._pin.frames[self._tcp].parentJoint, ids)
-        tip = pin.SE3.Identity() if tcp_joint < 0 else frames[tcp_joint]
+        tcp_joint, tcp = self.tcp_attachment
         return Arm(
             parents=parents,
             placements=np.array([base.actInv(frame).homogeneous for base, frame in zip(bases, frames, strict=True)]),
             axes=np.array(axes),
             prismatic=prismatic,
-            lower=self.lower[self._order],
-            upper=self.upper[self._order],
+            lower=self.lower[self._order] + margin,
+            upper=self.upper[self._order] - margin,
             tcp_joint=tcp_joint,
-            tcp=tip.actInv(self._data.oMf[self._tcp]).homogeneous,
+            tcp=tcp,
         )
 
-    def _moves_with(self, joint: int, ids: list[int]) -> int:
-        """Return the index in ``ids`` of the arm joint that moves a Pinocchio joint; -1 if none does."""
-        while joint > 0 and joint not in ids:
+    def _moves_with(self, joint: int) -> int:
+        """Return the index, from the base to the tip, of the arm joint that moves a Pinocchio joint; -1: none does."""
+        while joint > 0 and joint not in self._ids:
             joint = self._pin.parents[joint]
-        return ids.index(joint) if joint > 0 else -1
+        return self._ids.index(joint) if joint > 0 else -1
 
 
 class Arms(dict[str, ArmKinematics]):

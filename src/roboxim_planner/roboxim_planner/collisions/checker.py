@@ -109,7 +109,7 @@ class CollisionWorld:
         own = len(items)
         makers = [make for body in scene.bodies for make in _made(_parts, body)]
         obstacles = [make(part.pose) for make, part in zip(makers, self._placed, strict=True)]
-        joint, tcp_pose = robot.tcp_attachment
+        joint, tcp_pose = robot.kinematics.tcp_attachment
         for held in scene.attached:
             placed = tcp_pose @ pose_matrix(held.body.pose)
             for part, pose in zip(_made(_held_parts, held.body), placed @ _part_poses(held.body.shapes), strict=True):
