@@ -36,18 +36,10 @@ def film(bag: Path, every: int = 2) -> list[npt.NDArray[np.uint8]]:
     return frames
 
 
-def contact_sheet(films: Sequence[Sequence[npt.NDArray[np.uint8]]], columns: int = 6) -> npt.NDArray[np.uint8]:
-    """Return films below one another, each as a strip of frames from its start to its end.
-
-    Args:
-        films: Frames per film, all of one shape.
-        columns: Frames per strip.
-    """
-    rows = []
-    for frames in films:
-        picks = np.linspace(0, len(frames) - 1, columns).round().astype(int)
-        rows.append(np.concatenate([frames[i] for i in picks], axis=1))
-    return np.concatenate(rows, axis=0)
+def _strip(frames: Sequence[npt.NDArray[np.uint8]], columns: int = 6) -> npt.NDArray[np.uint8]:
+    """Return frames of a film side by side, from its start to its end."""
+    picks = np.linspace(0, len(frames) - 1, columns).round().astype(int)
+    return np.concatenate([frames[i] for i in picks], axis=1)
 
 
 def write_contact_sheet(bags: Sequence[Path], picture: Path) -> bool:
@@ -63,7 +55,7 @@ def write_contact_sheet(bags: Sequence[Path], picture: Path) -> bool:
             continue
         cameras = {camera.name: camera for camera in info.scene.cameras}
         first = cameras.get("workspace") or next(iter(cameras.values()), None)
-        strips.append(captioned(contact_sheet([film(bag)]), info.task.instruction, first))
+        strips.append(captioned(_strip(film(bag)), info.task.instruction, first))
     if strips:
         Image.fromarray(np.concatenate(strips, axis=0)).save(picture)
     return bool(strips)
