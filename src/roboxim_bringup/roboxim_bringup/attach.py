@@ -164,20 +164,19 @@ class Peer:
 
         return _named(get_action_names_and_types(self.node), hidden=False)
 
-    def type_of(self, what: str, name: str, listing: Callable[..., dict[str, list[str]]]) -> str:
+    def type_of(self, what: str, name: str) -> str:
         """Return the type of a service, topic or action.
 
         Args:
-            what: Kind of the name, for messages.
+            what: ``service``, ``topic`` or ``action``.
             name: Its name.
-            listing: One of `services`, `topics`, `actions`.
 
         Raises:
             UnavailableError: When the graph has no such name; the message lists the known ones.
             ConfigError: When the name has several types.
         """
-        name = absolute(name)
-        types = self.look_for(
+        name, listing = absolute(name), getattr(self, f"{what}s")
+        types: list[str] = self.look_for(
             lambda: listing(**({} if what == "action" else {"hidden": True})).get(name),
             lambda: f"no {what} '{name}' in the graph; {one_of(filter(is_own_service, listing()), name)}",
         )

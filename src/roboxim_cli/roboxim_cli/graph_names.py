@@ -1,4 +1,4 @@
-"""Tab completion of a running graph's topics, services, actions and nodes."""
+"""Names of a running graph's topics, services, actions and nodes: tab completion, and the commands that list them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from roboxim_bringup.attach import Peer, on_graph
 from roboxim_core.errors import RoboximError
 
 FRESH_S = 20.0
@@ -33,6 +34,34 @@ def complete(kind: str) -> Callable[[click.Context, click.Parameter, str], list[
         return []
 
     return names
+
+
+def add_names(group: click.Group, kind: str, *, hidden: str = "") -> None:
+    """Add the commands that list the names of a kind and print the type of one.
+
+    Args:
+        group: Receives them.
+        kind: ``topic``, ``service`` or ``action``.
+        hidden: Help of the option that includes hidden names; empty: there is no such option.
+    """
+    option: Callable[[Any], Any] = (
+        click.option("-a", "--all", "hidden", is_flag=True, help=hidden) if hidden else lambda command: command
+    )
+
+    @group.command("list", help=f"List the {kind}s.")
+    @click.option("-t", "--show-types", is_flag=True, help="Also print the types.")
+    @option
+    @on_graph
+    def list_names(peer: Peer, show_types: bool, **which: bool) -> None:
+        peer.settle()
+        for name, types in getattr(peer, f"{kind}s")(**which).items():
+            click.echo(f"{name} [{', '.join(types)}]" if show_types else name)
+
+    @group.command("type", help=f"Print the type of {'an' if kind == 'action' else 'a'} {kind}.")
+    @click.argument("name", shell_complete=complete(f"{kind}s"))
+    @on_graph
+    def print_type(peer: Peer, name: str) -> None:
+        click.echo(peer.type_of(kind, name))
 
 
 def _graph(run_id: str | None) -> dict[str, list[str]]:

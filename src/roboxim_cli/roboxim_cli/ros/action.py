@@ -8,7 +8,7 @@ import click
 
 from roboxim_bringup.attach import Peer, absolute, attach_options, attached, on_graph
 from roboxim_cli import strict
-from roboxim_cli.graph_names import complete
+from roboxim_cli.graph_names import add_names, complete
 from roboxim_cli.options import POSITIVE
 
 
@@ -17,23 +17,7 @@ def command() -> None:
     """List the actions of a running graph and send goals."""
 
 
-@command.command("list")
-@click.option("-t", "--show-types", is_flag=True, help="Also print the types.")
-@on_graph
-def list_actions(peer: Peer, show_types: bool) -> None:
-    """List the actions."""
-    peer.settle()
-    actions = peer.actions()
-    for name, types in actions.items():
-        click.echo(f"{name} [{', '.join(types)}]" if show_types else name)
-
-
-@command.command("type")
-@click.argument("name", shell_complete=complete("actions"))
-@on_graph
-def print_type(peer: Peer, name: str) -> None:
-    """Print the type of an action."""
-    click.echo(peer.type_of("action", name, peer.actions))
+add_names(command, "action")
 
 
 @command.command("info")
@@ -43,7 +27,7 @@ def info(peer: Peer, name: str) -> None:
     """Print the type, servers and clients of an action."""
     from rclpy.action import get_action_client_names_and_types_by_node, get_action_server_names_and_types_by_node
 
-    type_name = peer.type_of("action", name, peer.actions)
+    type_name = peer.type_of("action", name)
     peer.settle()
     nodes = peer.node.get_node_names_and_namespaces()
     sides = {
@@ -100,7 +84,7 @@ def send_goal(
         click.echo("feedback:\n" + dump(message_to_plain(message.feedback, full=full)), nl=False)
 
     with attached(run_id, domain) as peer:
-        cls = look_up(type_name or peer.type_of("action", name, peer.actions), "action")
+        cls = look_up(type_name or peer.type_of("action", name), "action")
         goal = message_from_plain(cls.Goal, data)
         from roboxim_ros.actions import ActionCall
 

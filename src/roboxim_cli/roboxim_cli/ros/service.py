@@ -6,9 +6,9 @@ from typing import Any
 
 import click
 
-from roboxim_bringup.attach import Peer, attach_options, attached, on_graph
+from roboxim_bringup.attach import attach_options, attached
 from roboxim_cli import strict
-from roboxim_cli.graph_names import complete
+from roboxim_cli.graph_names import add_names, complete
 from roboxim_cli.options import POSITIVE
 
 
@@ -17,24 +17,7 @@ def command() -> None:
     """List and call the services of a running graph."""
 
 
-@command.command("list")
-@click.option("-t", "--show-types", is_flag=True, help="Also print the types.")
-@click.option("-a", "--all", "hidden", is_flag=True, help="Include hidden services, which implement actions.")
-@on_graph
-def list_services(peer: Peer, show_types: bool, hidden: bool) -> None:
-    """List the services."""
-    peer.settle()
-    services = peer.services(hidden=hidden)
-    for name, types in services.items():
-        click.echo(f"{name} [{', '.join(types)}]" if show_types else name)
-
-
-@command.command("type")
-@click.argument("name", shell_complete=complete("services"))
-@on_graph
-def print_type(peer: Peer, name: str) -> None:
-    """Print the type of a service."""
-    click.echo(peer.type_of("service", name, peer.services))
+add_names(command, "service", hidden="Include hidden services, which implement actions.")
 
 
 @command.command("find")
@@ -83,7 +66,7 @@ def call(name: str, words: tuple[str, ...], timeout: float, full: bool, run_id: 
     data = parse(text, source="request") if text else None
     request = message_from_plain(given.Request, data) if given else None
     with attached(run_id, domain) as peer:
-        offered = peer.type_of("service", name, peer.services)
+        offered = peer.type_of("service", name)
         if given is not None and full_name(given) != offered:
             raise ConfigError(f"service '{absolute(name)}' has type {offered}, not {full_name(given)}")
         cls = given or look_up(offered, "srv")

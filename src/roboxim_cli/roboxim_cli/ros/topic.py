@@ -10,7 +10,7 @@ import click
 
 from roboxim_bringup.attach import Peer, absolute, attach_options, attached, on_graph
 from roboxim_cli import strict
-from roboxim_cli.graph_names import complete
+from roboxim_cli.graph_names import add_names, complete
 from roboxim_cli.options import POSITIVE
 
 
@@ -19,23 +19,7 @@ def command() -> None:
     """List, print, time and publish the topics of a running graph."""
 
 
-@command.command("list")
-@click.option("-t", "--show-types", is_flag=True, help="Also print the types.")
-@on_graph
-def list_topics(peer: Peer, show_types: bool) -> None:
-    """List the topics."""
-    peer.settle()
-    topics = peer.topics()
-    for name, types in topics.items():
-        click.echo(f"{name} [{', '.join(types)}]" if show_types else name)
-
-
-@command.command("type")
-@click.argument("name", shell_complete=complete("topics"))
-@on_graph
-def print_type(peer: Peer, name: str) -> None:
-    """Print the type of a topic."""
-    click.echo(peer.type_of("topic", name, peer.topics))
+add_names(command, "topic")
 
 
 @command.command("info")
@@ -44,7 +28,7 @@ def print_type(peer: Peer, name: str) -> None:
 @on_graph
 def info(peer: Peer, name: str, verbose: bool) -> None:
     """Print a topic's type and its publishers and subscribers."""
-    type_name = peer.type_of("topic", name, peer.topics)
+    type_name = peer.type_of("topic", name)
     peer.settle()
     sides = {
         "Publisher": peer.node.get_publishers_info_by_topic(absolute(name)),
@@ -215,7 +199,7 @@ def _listen(
     from roboxim_core.errors import RequestTimeoutError
     from roboxim_ros.qos import offered
 
-    found = type_name or peer.type_of("topic", name, peer.topics)
+    found = type_name or peer.type_of("topic", name)
     cls = look_up(found, "msg")
     inbox: queue.Queue[Any] = queue.Queue()
     qos = offered(peer.node, absolute(name), 100, fresh=fresh)
