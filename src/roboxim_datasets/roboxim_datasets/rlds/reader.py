@@ -14,7 +14,6 @@ import numpy as np
 
 from roboxim_core.errors import ConfigError, ErrorCode, InvalidRequestError, RecorderError, one_of, printable
 from roboxim_core.plain_data.documents import read_json_object
-from roboxim_core.plain_data.results_log import RUN_FILE
 from roboxim_datasets.account import Account, Kind
 from roboxim_datasets.dataset import Dataset, Description, Features
 from roboxim_datasets.episode import BETWEEN_ROBOTS, Episode, ImageSize, Step, Wanted
@@ -69,7 +68,9 @@ class RldsReader:
         """
         found = find_rlds(Path(path))
         if len(found) != 1:
-            raise RecorderError(_not_one(Path(path), found))
+            raise RecorderError(
+                f"{path} holds {len(found)} datasets in RLDS; name the folder of one, which holds {INFO_FILE}"
+            )
         self.path = found[0]
         try:
             info = read_json_object(file_in(self.path, INFO_FILE))
@@ -361,18 +362,6 @@ def _template(text: Any) -> str:
 
 def _sizes(keys: Mapping[str, str], features: RldsFeatures) -> dict[str, tuple[int, int]]:
     return {camera: features.images[key] for camera, key in keys.items()}
-
-
-def _not_one(path: Path, found: list[Path]) -> str:
-    """Return the error message for a path that is not one dataset."""
-    if found:
-        names = ", ".join(map(str, found[:5])) + (", ..." if len(found) > 5 else "")
-        return f"{path} holds {len(found)} datasets; name one of {names}"
-    if not path.exists():
-        return f"no such folder: {path}; expected a dataset, as 'roboxim export rlds' makes it"
-    if any((path / name).exists() for name in ("episodes", RUN_FILE)) or any(path.glob("**/*.mcap")):
-        return f"{path} holds bags, not a dataset; export them first: roboxim export rlds {path} --out {path}-rlds"
-    return f"{path} holds 0 datasets; name the folder of one, which holds dataset_info.json"
 
 
 def _records(path: Path) -> Iterator[bytes]:
