@@ -122,19 +122,19 @@ class SharedServer(OpenPiServer):
             return connection.respond(http.HTTPStatus.UNAUTHORIZED, "the key is wrong\n")
         return super()._health(connection, request)
 
-    def _reply(self, policy: Any, message: bytes | str) -> bytes | str:
+    def _reply(self, session: Any, message: bytes | str) -> bytes | str:
         request = openpi.decode(message) if isinstance(message, bytes) else None
         if not isinstance(request, dict) or not isinstance(request.get("prompt"), str):
             raise InvalidRequestError("a request must be a binary MessagePack map with a prompt")
         if request.get("endpoint") == "reset":
-            policy.reset(
+            session.reset(
                 EpisodeStart(
                     episode_id=str(request.get("session_id", "")), instruction=request["prompt"],
                     seed=int(request.get("seed", 0)),
                 )
             )  # fmt: skip
             return openpi.RESET
-        return openpi.encode(_plain(policy.act(window_of(request))))
+        return openpi.encode(_plain(session.act(window_of(request))))
 
 
 def window_of(request: Mapping[str, Any]) -> ObservationWindow:
