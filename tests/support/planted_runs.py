@@ -87,7 +87,7 @@ def planted_folder(
 
     Args:
         out: The folder, which does not exist yet.
-        rates: Condition to its success rate.
+        rates: Condition to its success rate, and key of a cell to that of all conditions there.
         text: The experiment, with 20 rollouts in each cell.
         predicates: Predicates of every verdict.
     """
@@ -123,8 +123,8 @@ def planted_folder(
         folder.mkdir(parents=True)
         with RunFolder(folder).opened({"command": "evaluate"}) as run:
             for index in range(stage.inputs["episodes"]):
-                number = int(mix.drawn(index)["cell_number"])
-                won = number < 20 * rates[condition]
+                drawn = mix.drawn(index)
+                won = int(drawn["cell_number"]) < 20 * rates.get(drawn["cell"], rates[condition])
                 run.append(EpisodeResult(
                     episode_id=f"eval-{index}", index=index, outcome="success" if won else "failure",
                     reason="" if won else "not_lifted", instruction="Pick it up",

@@ -6,6 +6,7 @@ import pytest
 
 from roboxim_core.episode import Draw, EpisodeResult
 from roboxim_core.errors import PolicyError, TaskError
+from roboxim_core.policies import PolicyDescription
 from roboxim_core.seeds import SeedPath
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_runs.answers import trying
@@ -41,7 +42,6 @@ def test_a_scene_that_breaks_a_constraint_is_not_compared(ended):
     tried = bench.run(drawn, None, SeedPath(run_seed=0, purpose="eval", index=0))
     assert isinstance(tried, Try)
     assert not tried.began
-    semantics = SimpleNamespace(control="ee_delta")
-    actor = SimpleNamespace(describe=lambda: SimpleNamespace(semantics=semantics))
+    actor = SimpleNamespace(describe=lambda: PolicyDescription(name="still"))
     with pytest.raises(TaskError, match="scene 0: why"):
         compare(bench, actor, actor, CompareRun(task_config="", scenes=1))

@@ -208,7 +208,7 @@ def test_the_printed_command_of_a_further_round_names_the_trainer(tmp_path):
     text = PLANTED_EXPERIMENT.replace(
         "  mine: ", '  first: {command: "go {dataset} {out} {seed}", policy: bc}\n  mine: '
     )
-    planted_folder(tmp_path / "run", PLANTED_RATES, text)
+    planted_folder(tmp_path / "run", {**PLANTED_RATES, "pick_up target=soda_can": 0.9}, text)
     state = tmp_path / "run/experiment.json"
     state.write_text(json.dumps(json.loads(state.read_text()) | {"trainer": "mine"}))
     card = folder_card(ExperimentFolder.of(tmp_path / "run"))
