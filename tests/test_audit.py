@@ -132,6 +132,14 @@ def test_bags_of_joint_actions_are_executed_as_such(demonstrations: Path, tmp_pa
     assert audited.result.check("replay").checked == 3
 
 
+def test_faults_are_planted_in_a_folder_below_the_working_directory(expert_bag, tmp_path, monkeypatch) -> None:
+    bag, _, _ = expert_bag(seed=0, size=32)
+    monkeypatch.chdir(tmp_path)
+    made = corrupt(bag.parent, "copies/mine", "duplicate", 1.0)
+    assert made.path == Path("copies/mine"), "as it was given, for what is printed"
+    assert len(list_bags(made.path)) == 2
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", [name for name, kind in fault_kinds().items() if kind.bags])
 def test_faults_planted_in_bags_are_found(fault: str, demonstrations: Path, tmp_path: Path) -> None:

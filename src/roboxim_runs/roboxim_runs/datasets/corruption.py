@@ -131,7 +131,7 @@ def corrupt(
         reporter = Reporter(on_event, cancellation)
         with reporter.resumable("nothing is left; the same call or command starts again"):
             planter = _Planting(fault=fault, rate=rate, seed=seed, link=link, reporter=reporter)
-            planted, refused = planter.bags(source, out) if of_bags else planter.dataset(source, out)
+            planted, refused = planter.bags(source, out.absolute()) if of_bags else planter.dataset(source, out)
     except BaseException:
         shutil.rmtree(out, ignore_errors=True)
         raise
