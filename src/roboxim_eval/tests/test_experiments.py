@@ -240,7 +240,7 @@ def test_a_condition_adds_arguments_to_the_command_of_its_trainer_alone():
     other = replace(changed, trainers={**changed.trainers, "mine": changed.trainers["bc"]})
     with pytest.raises(ConfigError, match="conditions.baseline: arguments are for bc alone.*mine"):
         design_of(other, "mine")
-    with pytest.raises(ConfigError, match="arguments.bd .line 17.: unknown name 'bd'; expected one of: bc, "):
+    with pytest.raises(ConfigError, match="arguments.bd .line 17.: unknown name 'bd'; expected one of: act, bc, "):
         config(text.replace("arguments: {bc:", "arguments: {bd:"))
     with pytest.raises(ConfigError, match="arguments: are those of a training"):
         config(TEXT.replace("{checkpoint_of: leave_out,", "{checkpoint_of: leave_out, arguments: {bc: --set depth=2},"))
