@@ -21,8 +21,8 @@ from roboxim_core.poses import Pose
 from roboxim_runs.robots.derivation import derive
 from roboxim_runs.robots.gripper_derivation import GripperRecipe, derive_gripper
 from roboxim_runs.robots.link_meshes import coloured
-from roboxim_runs.robots.reading import expanded
 from roboxim_runs.robots.recipe import RobotRecipe, source_file
+from roboxim_runs.robots.urdf_files import expanded
 
 HERE = Path(__file__).resolve().parent
 CONFIG = HERE.parents[1]

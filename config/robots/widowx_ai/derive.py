@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 
 from roboxim_runs.robots.derivation import derive
 from roboxim_runs.robots.gripper_derivation import GripperRecipe, derive_gripper
-from roboxim_runs.robots.reading import expanded
 from roboxim_runs.robots.recipe import RobotRecipe
+from roboxim_runs.robots.urdf_files import expanded
 
 HERE = Path(__file__).resolve().parent
 CONFIG = HERE.parents[1]
