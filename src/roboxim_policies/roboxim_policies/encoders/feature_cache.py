@@ -111,7 +111,7 @@ class _Store:
         self._rows: dict[bytes, int] = {}
 
     def fill(self, pictures: Images, hashes: list[bytes]) -> Iterator[int]:
-        """Compute what is missing, and yield the number of pictures that are still missing after each batch.
+        """Compute what is missing, and yield the number of different pictures that still are after each batch.
 
         The order is random, so that processes with the same pictures each compute a part of them.
         """
@@ -125,7 +125,7 @@ class _Store:
             padded = np.concatenate([part, np.zeros((BATCH - len(part), *part.shape[1:]), np.uint8)])
             self._append([hashes[place] for place in chosen], encode(padded))
             missing = [place for place in missing if hashes[place] not in self._rows]
-            yield sum(each not in self._rows for each in hashes)
+            yield len(missing)
 
     def features(self, hashes: list[bytes]) -> dict[int, Features]:
         """Return the features of pictures that are in the store, by stride."""
