@@ -113,7 +113,7 @@ class Probes:
     unseeded: tuple[tuple[str, ...], tuple[str, ...]]
     """Digests of resets without a seed, after the same seeded one, twice."""
     beyond: Trace
-    """The seed with actions of which one component is at twice its bounds; without steps: actions have no bounds."""
+    """The seed with actions of which one component is at twice its bounds; without steps: there are no such actions."""
     clipped: Trace
     """The same actions, clipped to the bounds."""
     not_a_number: Trace | None

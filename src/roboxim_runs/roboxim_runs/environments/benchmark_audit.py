@@ -5,10 +5,11 @@ The environment is only used through `reset` and `step`. Judging is `roboxim_eva
 
 from __future__ import annotations
 
+import copy
 import importlib
 import random
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,8 +101,9 @@ def audit_benchmark(
     try:
         return audit_findings(_Prober(first, config).probes(second, solver))
     finally:
-        first.close()
-        second.close()
+        for env in (first, second):
+            with suppress(Exception):  # what was found counts, however the environment ends
+                env.close()
 
 
 class _Prober:
@@ -187,17 +189,20 @@ class _Prober:
 
         One component at a time: an environment may bound the length of a vector, which keeps its direction.
         """
-        space = self._env.action_space
+        space, empty = self._env.action_space, Trace(observations=())
         if not isinstance(space, gymnasium.spaces.Box) or not np.isfinite([*space.low.flat, *space.high.flat]).all():
-            empty = Trace(observations=())
             return empty, empty
-        rng, still = np.random.default_rng(0), self._still(None, "")
-        bounds = (space.high + space.low) / 2, space.high - space.low  # the middle, and twice the way to a bound
+        low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+        middle, way = (high + low) / 2, high - low  # twice the way to a bound
+        numbers = np.finfo(space.dtype) if np.issubdtype(space.dtype, np.floating) else np.iinfo(space.dtype)
+        if not ((middle - way >= numbers.min) & (middle + way <= numbers.max)).all():
+            return empty, empty
+        rng, still = np.random.default_rng(0), np.asarray(self._still(None, ""))
         far = []
         for step in range(self._config.steps):
             far.append(still.copy())
             where = step % still.size
-            far[-1].flat[where] = bounds[0].flat[where] + rng.choice([-1, 1]) * bounds[1].flat[where]
+            far[-1].flat[where] = middle.flat[where] + rng.choice([-1, 1]) * way.flat[where]
         near = [np.clip(action, space.low, space.high) for action in far]
         return self._play(self._env, 0, far, may_refuse=True), self._play(self._env, 0, near)
 
@@ -230,7 +235,7 @@ class _Prober:
             ConfigError: When the environment fails at a reset, or at an action that it must accept.
         """
         try:
-            observation, info = env.reset(seed=seed)
+            observation, info = _checked(env.reset(seed=seed))
         except Exception as error:
             raise ConfigError(f"reset(seed={seed}) failed: {type(error).__name__}: {error}") from error
         instruction = _instruction(env, info, observation)
@@ -249,7 +254,8 @@ class _Prober:
             elif (action := next(following, None)) is None:
                 break
             try:
-                observation, reward, terminated, truncated, info = env.step(action)
+                observation, reward, terminated, truncated, info = _checked(env.step(copy.deepcopy(action)))
+                rewards.append(float(reward))
             except Exception as error:
                 if not may_refuse:
                     raise ConfigError(
@@ -258,7 +264,6 @@ class _Prober:
                 refused = f"{type(error).__name__}: {error}"
                 break
             seen.append(digest(observation))
-            rewards.append(float(reward))
             successes.append(_success(info))
             if not may_refuse:
                 faults += _faults(env, observation, "a step")
@@ -275,10 +280,23 @@ def random_actions(env: Environment, seed: int, count: int) -> list[Any]:
     return [env.action_space.sample() for _ in range(count)]
 
 
+def _checked(returned: Any) -> Any:
+    """Return what a reset or a step returned.
+
+    Raises:
+        TypeError: When it does not end in an info.
+    """
+    last = returned[-1] if isinstance(returned, tuple) and returned else returned
+    if not isinstance(returned, tuple) or not isinstance(last, Mapping):
+        raise TypeError(f"expected a tuple whose last part is an info (a dict), got {type(last).__name__} in its place")
+    return returned
+
+
 def _recorded(actor: Actor, taken: list[Any]) -> Actor:
     def act(observation: Any, words: str) -> Any:
-        taken.append(actor(observation, words))
-        return taken[-1]
+        action = actor(observation, words)
+        taken.append(copy.deepcopy(action))  # an actor may fill one array again and again
+        return action
 
     return act
 

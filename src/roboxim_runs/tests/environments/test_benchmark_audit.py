@@ -207,6 +207,82 @@ def test_images_show_whether_actions_are_clipped():
     assert "clipped_actions" in audit_benchmark(Frames, CONFIG).passed
 
 
+def test_an_environment_that_changes_its_actions_repeats_its_episodes():
+    found = {one.check for one in audit_benchmark(lambda: Reach("action_changed"), CONFIG, solver=solver).findings}
+    assert found == {"shared_memory", "clipped_actions"}  # it halves them before it clips them
+
+
+def test_a_solver_may_fill_one_array_again_and_again():
+    def thrifty():
+        act, array = solver(), np.zeros(2)
+
+        def again(observation, words):
+            array[:] = act(observation, words)
+            return array
+
+        return again
+
+    assert audit_benchmark(Reach, CONFIG, solver=thrifty).findings == ()
+
+
+@pytest.mark.parametrize(
+    ("space", "scale", "outcome"),
+    [
+        (Box(0, 255, (2,), np.uint8), 0.001, "untested"),
+        (Box(-100, 100, (2,), np.int8), 0.001, "untested"),
+        (Box(-5, 5, (2,), np.int64), 0.01, "fault"),
+        (Box(-0.6, 0.6, (), np.float32), 0.1, "fault"),
+    ],
+)
+def test_actions_beyond_the_bounds_are_such_or_not_tested(space, scale, outcome):
+    class Unclipped(Reach):
+        def __init__(self):
+            super().__init__("unclipped")
+            self.action_space = space
+
+        def step(self, action):
+            return super().step(np.broadcast_to(scale * np.asarray(action, np.float64), 2).copy())
+
+    found = audit_benchmark(Unclipped, CONFIG)
+    assert ("clipped_actions" in found.untested) == (outcome == "untested")
+    assert ("clipped_actions" in {one.check for one in found.findings}) == (outcome == "fault")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda observation, *_, info: (observation, 0.0, False, False, None), "NoneType in its place"),
+        (lambda observation, *_, info: (observation, None, False, False, info), "float"),
+        (lambda observation, *_, info: (observation, np.zeros(2), False, False, info), "Python scalar"),
+    ],
+)
+def test_a_step_that_returns_something_else_is_refused_with_its_number(change, words):
+    class Wrong(Reach):
+        def step(self, action):
+            observation, *rest, info = super().step(action)
+            return change(observation, *rest, info=info)
+
+    with pytest.raises(ConfigError, match=rf"step 1 with seed 0 failed: TypeError: .*{words}"):
+        audit_benchmark(Wrong, CONFIG)
+
+
+def test_a_reset_without_an_info_is_refused():
+    class Old(Reach):
+        def reset(self, **options):
+            return super().reset(**options)[0]
+
+    with pytest.raises(ConfigError, match=r"reset\(seed=0\) failed: TypeError: expected a tuple .*, got dict"):
+        audit_benchmark(Old, CONFIG)
+
+
+def test_an_environment_that_fails_to_close_keeps_its_audit():
+    class Unclosed(Reach):
+        def close(self):
+            raise RuntimeError("no display")
+
+    assert audit_benchmark(Unclosed, CONFIG).findings == ()
+
+
 def test_an_environments_own_option_may_be_called_name():
     made = []
     gymnasium.register("Named-v0", lambda name: made.append(name) or Reach())
