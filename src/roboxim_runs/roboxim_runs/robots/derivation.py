@@ -32,7 +32,7 @@ from roboxim_runs.robots.home import home_of, same_place
 from roboxim_runs.robots.link_meshes import LinkMeshes
 from roboxim_runs.robots.recipe import NAME_PATTERN, RobotRecipe, source_file, spread
 from roboxim_runs.robots.stand import covered, root_link, stand
-from roboxim_runs.robots.urdf_files import expanded, fixed_joint, massless, write
+from roboxim_runs.robots.urdf_files import expanded, fixed_joint, massless, replaced, write
 
 Element = ElementTree.Element
 SHAPES = ("visual", "collision")
@@ -67,13 +67,8 @@ def derive(
     else:
         source = source_file(recipe.urdf, folder or Path.cwd())
         arm = Arm(expanded(source), source, recipe)
-    target, scratch = out / recipe.name, out / f".{recipe.name}.new"
-    shutil.rmtree(scratch, ignore_errors=True)
-    inside = scratch / "robots" / recipe.name
-    file = scratch / "robots" / f"{recipe.name}.yaml"
-    for kind in ("visual", "collision"):
-        (inside / kind).mkdir(parents=True)
-    try:
+    with replaced(out, "robots", recipe.name) as inside:
+        file = inside.parent / f"{recipe.name}.yaml"
         report(f"{len(arm.joints)} joints from {arm.base} to {arm.flange}: {', '.join(arm.joints)}")
         if arm.beside and not recipe.arm:
             report(f"kept, as they are fixed to it (--without leaves them out): {', '.join(arm.beside)}")
@@ -94,16 +89,9 @@ def derive(
         file.write_text(_yaml(recipe, values))
         if not recipe.home:
             report("searching a home pose")
-            values["home"] = [round(float(q), 4) for q in arm.home(scratch)]
+            values["home"] = [round(float(q), 4) for q in arm.home(file.parents[1])]
             file.write_text(_yaml(recipe, values))
-        for kept in target.glob("*") if target.is_dir() else ():
-            if kept.name in ("LICENSE", "LICENSE.arm", "README.md", "recipe.yaml", "derive.py"):
-                shutil.copy(kept, inside / kept.name)
-        shutil.rmtree(target, ignore_errors=True)
-        inside.rename(target)
-        return Path(file.replace(out / f"{recipe.name}.yaml"))
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+    return out / f"{recipe.name}.yaml"
 
 
 class Arm:

@@ -7,7 +7,6 @@ measured: the distance between the two finger tips over the range of the driven 
 from __future__ import annotations
 
 import itertools
-import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -29,7 +28,7 @@ from roboxim_planner.robot import PlannerRobot
 from roboxim_runs.robots.grippers import below
 from roboxim_runs.robots.link_meshes import LinkMeshes
 from roboxim_runs.robots.recipe import source_file
-from roboxim_runs.robots.urdf_files import expanded, fixed_joint, massless, write
+from roboxim_runs.robots.urdf_files import expanded, fixed_joint, massless, replaced, write
 
 Element = ElementTree.Element
 HAND, TCP = "hand", "hand_tcp"
@@ -106,12 +105,7 @@ def derive_gripper(
     recipe = _renamed(kept, recipe)
     links = {str(link.get("name")): link for link in links.values()}
     joints = {str(joint.get("name")): joint for joint in joints.values()}
-    target, scratch = out / recipe.name, out / f".{recipe.name}.new"
-    shutil.rmtree(scratch, ignore_errors=True)
-    inside = scratch / recipe.name
-    for kind in ("visual", "collision"):
-        (inside / kind).mkdir(parents=True)
-    try:
+    with replaced(out, "grippers", recipe.name) as inside:
         materials = urdf_materials(root)
         meshes = LinkMeshes(
             recipe.name,
@@ -141,16 +135,9 @@ def derive_gripper(
         )  # fmt: skip
         values = {"urdf": f"{recipe.name}/{recipe.name}.urdf", "root": HAND, "tcp": TCP, "gripper": plain(tool)}
         text = f"# {recipe.title or recipe.name}. Source: {recipe.source}.\n# Written by `roboxim robot gripper`.\n"
-        for kept_file in target.glob("*") if target.is_dir() else ():
-            if kept_file.name in ("LICENSE", "README.md", "recipe.yaml"):
-                shutil.copy(kept_file, inside / kept_file.name)
-        shutil.rmtree(target, ignore_errors=True)
-        inside.rename(target)
-        file = out / f"{recipe.name}.yaml"
-        file.write_text(text + str(yaml.safe_dump(values, sort_keys=False, default_flow_style=None, width=120)))
-        return file
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        text += str(yaml.safe_dump(values, sort_keys=False, default_flow_style=None, width=120))
+        (inside.parent / f"{recipe.name}.yaml").write_text(text)
+    return out / f"{recipe.name}.yaml"
 
 
 def _renamed(elements: list[Element], recipe: GripperRecipe) -> GripperRecipe:

@@ -1,9 +1,11 @@
-"""URDFs: descriptions of robots and grippers read as one (URDF, xacro, MJCF), and elements that are written."""
+"""URDFs: descriptions read as one (URDF, xacro, MJCF), elements and folders that are written."""
 
 from __future__ import annotations
 
 import contextlib
 import re
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,6 +14,8 @@ from roboxim_core.models.urdf import urdf_root
 from roboxim_runs.robots.mjcf import is_mjcf, urdf_of
 
 Element = ElementTree.Element
+BY_HAND = ("LICENSE", "LICENSE.arm", "README.md", "recipe.yaml", "derive.py")
+"""Files of a robot or gripper that a new derivation keeps."""
 
 
 def expanded(path: Path) -> Element:
@@ -63,3 +67,31 @@ def write(root: Element, file: Path) -> None:
     """Write a URDF."""
     ElementTree.indent(root)
     ElementTree.ElementTree(root).write(file, encoding="utf-8", xml_declaration=True)
+
+
+@contextlib.contextmanager
+def replaced(out: Path, kind: str, name: str) -> Iterator[Path]:
+    """Write a robot's or gripper's folder, with its YAML file beside it, in place of that of an earlier derivation.
+
+    Yields the new folder, in a configuration folder of its own; it replaces the old one unless an exception is raised.
+
+    Args:
+        out: Folder that receives both.
+        kind: Name of the new folder's parent: ``robots`` or ``grippers``.
+        name: Name of the robot or gripper.
+    """
+    target, scratch = out / name, out / f".{name}.new"
+    shutil.rmtree(scratch, ignore_errors=True)
+    made = scratch / kind / name
+    for meshes in ("visual", "collision"):
+        (made / meshes).mkdir(parents=True)
+    try:
+        yield made
+        for kept in BY_HAND:
+            if (target / kept).is_file():
+                shutil.copy(target / kept, made / kept)
+        shutil.rmtree(target, ignore_errors=True)
+        made.rename(target)
+        (made.parent / f"{name}.yaml").replace(out / f"{name}.yaml")
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)

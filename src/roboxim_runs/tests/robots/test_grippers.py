@@ -60,6 +60,21 @@ def test_the_opening_of_turning_fingers_is_measured(tmp_path: Path) -> None:
     assert tool.links[:3] == ("hand", "gripper_left_tip", "gripper_right_tip")
 
 
+def test_a_new_derivation_keeps_what_was_written_by_hand(tmp_path: Path) -> None:
+    out = tmp_path / "grippers"
+    file = derive_gripper(jaw(tmp_path), out, folder=tmp_path, report=lambda line: None)
+    (out / "jaw" / "LICENSE").write_text("theirs")
+    (out / "jaw" / "visual" / "old.glb").touch()
+    first = file.read_text()
+    with pytest.raises(ConfigError, match="neither driven nor follows"):
+        derive_gripper(jaw(tmp_path, mimic=""), out, folder=tmp_path, report=lambda line: None)
+    assert (out / "jaw" / "visual" / "old.glb").exists(), "a derivation that fails changes nothing"
+    derive_gripper(jaw(tmp_path), out, folder=tmp_path, report=lambda line: None)
+    assert (file.read_text(), (out / "jaw" / "LICENSE").read_text()) == (first, "theirs")
+    assert not (out / "jaw" / "visual" / "old.glb").exists()
+    assert sorted(path.name for path in out.iterdir()) == ["jaw", "jaw.yaml"]
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
