@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-import fast_simplification
 import numpy as np
 import numpy.typing as npt
 import trimesh
+
+from roboxim_core.models.decimation import decimated
 
 Color = tuple[int, ...]
 TRIANGLES = 1600
@@ -48,7 +49,8 @@ def visual(
     if weld_m:
         _, first = np.unique(np.sort(triangles_of, axis=1), axis=0, return_index=True)
         triangles_of, colors = triangles_of[np.sort(first)], [colors[k] for k in np.sort(first)]
-    corners, color_of = decimated(points, triangles_of, np.array(colors), triangles)
+    coarse, left, kept = decimated(points, triangles_of, triangles, aggressiveness=4.0)
+    corners, color_of = coarse[left], np.array(colors)[kept]
     result = trimesh.Scene()
     for color in sorted(set(map(tuple, color_of.tolist())), reverse=True):
         part = trimesh.Trimesh(*welded(corners[(color_of == color).all(axis=1)]), process=False)
@@ -62,24 +64,6 @@ def visual(
         )
         result.add_geometry(part, geom_name="color_{:02x}{:02x}{:02x}".format(*color))
     return result
-
-
-def decimated(
-    points: npt.NDArray[Any], faces: npt.NDArray[Any], colors: npt.NDArray[Any], triangles: int
-) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Return coarser triangles, shape (M, 3, 3), and their colours, shape (M, 3)."""
-    kept = whole(faces)
-    faces, colors = faces[kept].astype(np.int32), colors[kept]
-    points = points.astype(np.float32)
-    if len(faces) > triangles:
-        *_, collapses = fast_simplification.simplify(
-            points, faces, target_count=triangles, agg=4.0, return_collapses=True
-        )
-        points, _, mapping = fast_simplification.replay_simplification(points, faces, collapses)
-        faces = mapping[faces]
-        kept = whole(faces)
-        faces, colors = faces[kept], colors[kept]
-    return points[faces], colors
 
 
 def softened(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -102,12 +86,6 @@ def softened(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     both = np.round(np.concatenate([corners, shading], axis=2).reshape(-1, 6), 6)
     both, index = np.unique(both, axis=0, return_inverse=True)
     return trimesh.Trimesh(both[:, :3], index.reshape(-1, 3), vertex_normals=both[:, 3:], process=False)
-
-
-def whole(faces: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return which faces have three different corners."""
-    a, b, c = faces.T
-    return np.asarray((a != b) & (b != c) & (c != a))
 
 
 def welded(corners: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from weakref import WeakKeyDictionary
 
-import fast_simplification
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core.models.decimation import decimated
 from roboxim_core.vision.renderer import TriangleMesh
 
 CREASE_RAD = np.radians(45.0)
@@ -59,22 +59,9 @@ def _simplified(meshes: Sequence[TriangleMesh], target: int) -> tuple[TriangleMe
     index = index.reshape(-1)
     faces = np.concatenate([index[mesh.faces + start] for mesh, start in zip(meshes, starts[:-1], strict=True)])
     owner = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
-    whole = _whole(faces)
-    faces, owner = faces[whole], owner[whole]
-    points = points.astype(np.float32)
-    collapses = fast_simplification.simplify(
-        points, faces.astype(np.int32), target_count=target, return_collapses=True
-    )[2]
-    points, _, mapping = fast_simplification.replay_simplification(points, faces.astype(np.int32), collapses)
-    faces = mapping[faces]
-    whole = _whole(faces)
-    faces, owner = faces[whole], owner[whole]
+    points, faces, kept = decimated(points, faces, target)
+    owner = owner[kept]
     return tuple(_shaded(points, faces[owner == i], mesh) for i, mesh in enumerate(meshes))
-
-
-def _whole(faces: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
-    a, b, c = faces.T
-    return np.asarray((a != b) & (b != c) & (c != a))
 
 
 def _shaded(points: npt.NDArray[np.floating], faces: npt.NDArray[np.integer], fine: TriangleMesh) -> TriangleMesh:
