@@ -9,13 +9,16 @@ from typing import Any
 
 from roboxim_core.episode import EpisodeInfo
 from roboxim_core.errors import ConfigError
+from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.models.modifiers import color_word
+from roboxim_core.models.visuals import camera_parent
 from roboxim_core.poses import Pose
-from roboxim_core.specs import CameraSpec, EntitySpec, SceneSpec, TaskSpec
+from roboxim_core.specs import CameraSpec, EntitySpec, PhysicalObject, SceneSpec, TaskSpec
 from roboxim_core.vision.cameras import load_camera
 from roboxim_tasks.files import named
 from roboxim_tasks.meaning import canonical_instruction
-from roboxim_tasks.roles import task_distractors, task_objects
+from roboxim_tasks.roles import description, task_distractors, task_objects
 
 Apply = Callable[[TaskSpec, SceneSpec, int], tuple[TaskSpec, SceneSpec]]
 MIN_SHIFT_M = 0.05
@@ -43,7 +46,7 @@ NAMES = ("distractors", "color", "camera", "light", "surfaces", "physics", "word
 def changes_of(info: EpisodeInfo, library: ModelLibrary) -> tuple[Change, ...]:
     """Return the changes that are one for an episode: what is nominal already is left out."""
     task, scene, nominal = info.task, info.scene, nominal_scene(info)
-    found: list[Change] = [*_without_distractors(task), *_other_colors(task, library), *_nominal_cameras(scene)]
+    found: list[Change] = [*_without_distractors(task), *_other_colors(task, library), *_nominal_cameras(info, library)]
     if (scene.look.lights, scene.look.ambient) != (nominal.look.lights, nominal.look.ambient):
         light: dict[str, Any] = {"lights": nominal.look.lights, "ambient": nominal.look.ambient}
         found.append(_of_scene("light", "in the nominal light", _looking(light)))
@@ -110,7 +113,7 @@ def _other_colors(task: TaskSpec, library: ModelLibrary) -> Iterator[Change]:
     if known is None:
         return
     now = str(thing.modifiers.get("color", known.default))
-    taken = {str(other.modifiers.get("color", "")) for other in task.objects.values()}
+    taken = {color_word(library.object_modifiers(one.model), one.modifiers) for one in task.objects.values()}
     usual = str(known.default)
     others = [usual] if usual != now and usual not in taken else [c for c in known.colors if c not in {now, *taken}]
     if not others:
@@ -123,9 +126,8 @@ def _other_colors(task: TaskSpec, library: ModelLibrary) -> Iterator[Change]:
             replace(e, modifiers={**e.modifiers, "color": color}) if e.name == thing.entity else e
             for e in scene.entities
         )
-        instruction = task.instruction.replace(f"{now} {thing.name}", f"{color} {thing.name}")
         return (
-            replace(task, objects={**task.objects, role: painted}, instruction=instruction),
+            _told(replace(task, objects={**task.objects, role: painted}), thing, painted),
             replace(scene, entities=entities),
         )
 
@@ -133,15 +135,43 @@ def _other_colors(task: TaskSpec, library: ModelLibrary) -> Iterator[Change]:
     yield Change(name="color", words=words, apply=apply)
 
 
-def _nominal_cameras(scene: SceneSpec) -> Iterator[Change]:
-    nominal = tuple(_nominal_camera(camera) for camera in scene.cameras)
-    if nominal != scene.cameras:
+def _told(task: TaskSpec, thing: PhysicalObject, painted: PhysicalObject) -> TaskSpec:
+    """Return a task whose instruction, and those of its steps, name an object by another colour."""
+    if "color" not in thing.modifiers:
+        return task
+
+    def told(text: str) -> str:
+        return text.replace(description(thing), description(painted))
+
+    arguments = {
+        name: told(value) if name.endswith(".instruction") and isinstance(value, str) else value
+        for name, value in task.arguments.items()
+    }
+    return replace(task, instruction=told(task.instruction), arguments=arguments)
+
+
+def _nominal_cameras(info: EpisodeInfo, library: ModelLibrary) -> Iterator[Change]:
+    cameras, views = info.scene.cameras, _views(info)
+    arm = ArmKinematics(library.robot(info.scene.robot.model))
+    nominal = tuple(_nominal_camera(camera, views.get(camera.name, camera.name), arm) for camera in cameras)
+    if nominal != cameras:
         yield _of_scene("camera", "with the nominal cameras", lambda s: replace(s, cameras=nominal))
 
 
-def _nominal_camera(camera: CameraSpec) -> CameraSpec:
+def _views(info: EpisodeInfo) -> dict[str, str]:
+    """Return the cameras that an episode's task shows from another place than that of their name, to that place."""
     try:
-        known = load_camera(camera.name)
+        views: dict[str, Any] = json.loads(info.config_json)["task"]["reset"]["cameras"]["views"]
+        places = {name: [str(place) for place in choice["values"]] for name, choice in views.items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return {}
+    return {name: listed[0] for name, listed in places.items() if listed and name not in listed}
+
+
+def _nominal_camera(camera: CameraSpec, view: str, arm: ArmKinematics) -> CameraSpec:
+    try:
+        known = load_camera(view)
+        known = replace(known, parent=camera_parent(known, arm))
     except ConfigError:
         return camera
     keep = ("name", "width", "height", "depth", "segmentation")

@@ -71,7 +71,11 @@ def explain(
     config = config or ExplainConfig()
     changes = [c for c in changes_of(info, bench.graph.sim.library) if not config.only or c.name in config.only]
     if not changes:
-        raise ConfigError(f"nothing of {info.episode_id} can be changed: no distractors, and all else is nominal")
+        raise ConfigError(
+            f"nothing of {info.episode_id} can be changed"
+            + (f" by {', '.join(config.only)}: that" if config.only else ": no distractors, and all else")
+            + " is nominal"
+        )
     run = _Repeats(bench, info, actor)
     nothing = Change(name="", words="as it was", apply=lambda task, scene, _: (task, scene))
     as_it_was = run.all_of(nothing, config.repeats)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import time
+from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import pytest
@@ -16,10 +18,14 @@ from roboxim_core.episode import RunConfig
 from roboxim_core.errors import ConfigError, SimError
 from roboxim_core.plain_data.merging import merged
 from roboxim_core.seeds import SeedPath
+from roboxim_core.vision.cameras import load_camera
 from roboxim_runs.answers import explaining
 from roboxim_runs.answers.changes import Change, changes_of
 from roboxim_runs.answers.explaining import ExplainConfig, _Repeats, explain
 from roboxim_runs.answers.trying import TryBench
+from roboxim_runs.episodes.task_choice import task_text as task_text_of
+from roboxim_tasks.meaning import asks_for_same, read_instruction
+from roboxim_tasks.sequences.steps import steps_of
 
 CHANGED = {
     "paraphrases": True,
@@ -127,6 +133,68 @@ def test_only_what_is_not_nominal_can_be_changed(bench):
             assert task.objects["target"].modifiers["color"] in task.instruction
     with pytest.raises(ConfigError, match="unknown change 'colour'.*color"):
         ExplainConfig(only=("colour",))
+
+
+def drawn(bench, task_config, index=0):
+    """Return what changes are chosen by: an episode of a task that did not run."""
+    draw = bench.graph.tasks.draw(SeedPath(run_seed=7, purpose="eval", index=index), task_config)
+    described = json.dumps({"task": json.loads(draw.config_json)})
+    return SimpleNamespace(task=draw.task, scene=draw.scene, config_json=described, episode_id="drawn")
+
+
+@pytest.mark.parametrize(
+    ("views", "offered"), [("[whole]", False), ("[whole, workspace_left]", True), ("[workspace_left]", False)]
+)
+def test_a_camera_at_its_tasks_view_and_on_the_hand_is_nominal(bench, views, offered):
+    task = yaml.safe_load(named_config("tasks", "pick_cube").read_text())
+    cameras = {"names": ["workspace", "wrist"], "views": {"workspace": {"values": yaml.safe_load(views)}}}
+    task = merged(task, {"reset": {"cameras": cameras}})
+    infos = [drawn(bench, yaml.safe_dump(task), index) for index in range(6)]
+    changes = [change for info in infos for change in changes_of(info, bench.graph.sim.library)]
+    moved = [change for change in changes if change.name == "camera"]
+    assert bool(moved) == offered
+    for change in moved:
+        _, scene = change.apply(infos[0].task, infos[0].scene, 0)
+        assert (scene.cameras[0].name, scene.cameras[0].pose) == ("workspace", load_camera("whole").pose)
+        assert scene.cameras[1] == infos[0].scene.cameras[1]
+
+
+def test_nothing_to_change_names_what_was_asked_for(bench):
+    info = drawn(bench, task_text_of("pick_cube"))
+    with pytest.raises(ConfigError, match="can be changed by camera: that is nominal"):
+        explain(bench, info, MagicMock(), ExplainConfig(only=("camera",)))
+
+
+COLORED = {
+    "material": """
+skill: pick_up
+objects: {target: {models: [cube], modifiers: {size: [small, large], color: [red, blue], material: [wooden, metal]}}}
+""",
+    "usual colour taken": """
+skill: pick_up
+objects: {target: {models: [cube], modifiers: {color: [blue, green]}}}
+distractors: {minimum: 2, maximum: 2, models: [cube]}
+""",
+    "steps": """
+steps: [{skill: push_object, roles: {target: box}}, {skill: pick_up, roles: {target: cube}}]
+objects: {box: {models: [cube], modifiers: {color: [red]}}, cube: {models: [cube], modifiers: {color: [green]}}}
+""",
+}
+
+
+@pytest.mark.parametrize("name", COLORED)
+def test_an_instruction_means_the_object_of_another_colour_alone(bench, name):
+    library = bench.graph.sim.library
+    for index in range(3):
+        info = drawn(bench, COLORED[name], index)
+        (change,) = (change for change in changes_of(info, library) if change.name == "color")
+        for number in range(4):
+            task, scene = change.apply(info.task, info.scene, number)
+            assert task.objects != info.task.objects
+            (meant,) = read_instruction(task.instruction, scene, library).tasks
+            assert asks_for_same(meant, task), task.instruction
+            steps = [step.instruction.lower() for step in steps_of(task)]
+            assert ", then ".join(steps) == task.instruction.lower()
 
 
 @pytest.mark.thorough
