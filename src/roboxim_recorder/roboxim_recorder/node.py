@@ -29,7 +29,7 @@ from typing import Any
 from rclpy.callback_groups import CallbackGroup
 from rclpy.context import Context
 from rclpy.exceptions import InvalidTopicNameException
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription
 from rclpy.validate_topic_name import validate_topic_name
@@ -175,7 +175,8 @@ class RecorderNode(RoboximNode):
 
     def _subscribe_extra(self, topic: str, full: str, kind: str) -> None:
         """Subscribe to an additional topic; again if it is latched, to receive the value that is in force."""
-        profile = self._matching_qos(full)
+        published = self.count_publishers(full) > 0
+        profile = qos.offered(self, full, qos.RECORDING.depth) if published else qos.RECORDING
         if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
             self._latched.add(topic)
             if topic in self._subscribed:
@@ -337,19 +338,6 @@ class RecorderNode(RoboximNode):
         if full not in found:
             raise InvalidRequestError(f"cannot record topic '{name}': no node publishes it; {one_of(found, full)}")
         return full, str(found[full][0])
-
-    def _matching_qos(self, full: str) -> QoSProfile:
-        """Return a QoS that is compatible with every present publisher of a topic, by its full name."""
-        offered = [info.qos_profile for info in self.get_publishers_info_by_topic(full)]
-        volatile = any(profile.durability != DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
-        return QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=qos.RECORDING.depth,
-            reliability=max(
-                (profile.reliability for profile in offered), default=qos.RECORDING.reliability, key=lambda p: p.value
-            ),
-            durability=DurabilityPolicy.VOLATILE if volatile else DurabilityPolicy.TRANSIENT_LOCAL,
-        )
 
 
 def _content(tick: LocalTick, step: EpisodeStep) -> TickContent:
