@@ -190,7 +190,7 @@ def card(dataset: Dataset, counts: Counts) -> str:
 
 def _card(dataset: Dataset, counts: Counts) -> str:
     parts = [
-        _head(dataset, counts),
+        _head(dataset),
         f"# {_title(dataset, counts)}\n\n{dataset.description.text or _sentence(dataset)}\n",
         f"![Frames of the first episode, one row for each camera]({_picture(dataset)})\n"
         * bool(dataset.features.cameras),
@@ -211,7 +211,7 @@ _SHOWN = ("format", "episodes", "steps", "robot", "cameras", "skills", "made by"
 """Lines of the summary that the card's first table has; its sections say the others at length."""
 
 
-def _head(dataset: Dataset, counts: Counts) -> str:
+def _head(dataset: Dataset) -> str:
     size = next(name for limit, name in _SIZES if len(dataset) < limit)
     origin = ["simulation", "roboxim"] if _simulated(dataset.facts) else []
     tags = ["robotics", *origin, dataset.format, *filter(None, [dataset.description.robot])]

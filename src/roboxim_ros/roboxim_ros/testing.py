@@ -19,7 +19,7 @@ PATIENCE_S = 300.0
 """Longest wait of a test for an event that must happen [s]. Only a hang reaches it, even on a busy machine."""
 
 
-def eventually(condition: Callable[[], T], expected: str = "what the test waits for", wait_s: float = PATIENCE_S) -> T:
+def eventually(condition: Callable[[], T], expected: str = "what the test waits for") -> T:
     """Wait until a condition holds, and return its value.
 
     For conditions without an event: a file, a process, a process's log.
@@ -27,14 +27,13 @@ def eventually(condition: Callable[[], T], expected: str = "what the test waits 
     Args:
         condition: Returns a true value when it holds.
         expected: Description of the condition, for the error.
-        wait_s: Longest wait [s].
 
     Raises:
         AssertionError: When the condition does not hold in time.
     """
-    deadline = time.monotonic() + wait_s
+    deadline = time.monotonic() + PATIENCE_S
     while not (value := condition()):
-        assert time.monotonic() < deadline, f"not within {wait_s:g} s: {expected}"
+        assert time.monotonic() < deadline, f"not within {PATIENCE_S:g} s: {expected}"
         time.sleep(0.02)
     return value
 

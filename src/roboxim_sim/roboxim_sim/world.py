@@ -24,6 +24,8 @@ from roboxim_sim.snapshots import Snapshot
 from roboxim_sim.trajectories import JointTrajectory, checked_trajectory
 
 R = TypeVar("R")
+GRIPPER_S = 3.0
+"""Simulated time after which a motion of the gripper ends [s]."""
 JOINT_SLACK = 1e-3
 """How far beyond its limits a joint may be set: the physics exceeds them slightly, too [m or rad]."""
 
@@ -127,15 +129,12 @@ class World(EpisodeWorld):
         self.require_free("follow a trajectory")
         return self._exclusive(self._follow(trajectory, settle_s))
 
-    def move_gripper(
-        self, opening: float, force_n: float | None = None, timeout_s: float = 3.0
-    ) -> Generator[StateRecord, None, None]:
-        """Move the gripper until it arrives or stalls; advances time.
+    def move_gripper(self, opening: float, force_n: float | None = None) -> Generator[StateRecord, None, None]:
+        """Move the gripper until it arrives or stalls, for `GRIPPER_S` at most; advances time.
 
         Args:
             opening: 1 = open, 0 = closed.
             force_n: Maximum force of each finger [N]; none: the model's.
-            timeout_s: Simulated time after which the motion ends [s].
 
         Yields:
             The state after every control period.
@@ -149,7 +148,7 @@ class World(EpisodeWorld):
             raise InvalidRequestError(f"the gripper's opening must be from 0 (closed) to 1 (open), got {opening}")
         if force_n is not None:
             limits.require_range("the gripper's force [N]", force_n, 0.0, limits.FORCE_N)
-        return self._exclusive(self._move_gripper(opening, force_n, timeout_s))
+        return self._exclusive(self._move_gripper(opening, force_n))
 
     # ---------------------------------------------------------------- interference
 
@@ -360,13 +359,11 @@ class World(EpisodeWorld):
         for _ in range(int(np.ceil(settle_s * self.scene.control_rate_hz - 1e-9))):
             yield self._free_motion(self._steps_per_tick)
 
-    def _move_gripper(
-        self, opening: float, force_n: float | None, timeout_s: float
-    ) -> Generator[StateRecord, None, None]:
+    def _move_gripper(self, opening: float, force_n: float | None) -> Generator[StateRecord, None, None]:
         self._command = replace(self._command, gripper=float(opening))
         self.physics.robot.drive_gripper(opening, force_n)
         last, still = self._record.robot.gripper_opening, 0
-        for _ in range(round(timeout_s * self.scene.control_rate_hz)):
+        for _ in range(round(GRIPPER_S * self.scene.control_rate_hz)):
             record = self._free_motion(self._steps_per_tick)
             yield record
             still = still + 1 if abs(record.robot.gripper_opening - last) < 0.005 else 0

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 POSITION_TOLERANCE_M = 1e-7
 ROTATION_TOLERANCE_RAD = 1e-6
 MAX_ITERATIONS = 30
+POSTURE_GAIN = 0.02
+"""Fraction of the distance to the posture that a call of `ArmKinematics.ik_near` covers."""
 POSITION_FIRST = 16
 """Descents in which an arm whose tool turns in fewer than three directions gives up rotation for position."""
 
@@ -170,7 +172,6 @@ class ArmKinematics:
         seed: npt.ArrayLike,
         *,
         posture: npt.ArrayLike | None = None,
-        posture_gain: float = 0.02,
         max_step: npt.ArrayLike | None = None,
     ) -> IkResult:
         """Follow a target pose from a nearby configuration: damped least squares inside the joint limits.
@@ -183,16 +184,15 @@ class ArmKinematics:
             seed: Arm joint positions to start at, shape (n,) [rad].
             posture: Joint positions that the redundant degrees of freedom move towards, shape (n,) [rad]; None: they
                 do not move.
-            posture_gain: Fraction of the distance to the posture that is covered per call.
             max_step: Largest change of each joint from the seed, shape (n,) [rad]; None: only the joint limits apply.
 
         Returns:
             The closest configuration found within a fixed number of iterations.
         """
         start = np.asarray(seed, dtype=float)
-        pull = (
-            np.empty(0) if posture is None else posture_gain * (np.asarray(posture, dtype=float) - start)[self._order]
-        )
+        pull = np.empty(0)
+        if posture is not None:
+            pull = POSTURE_GAIN * (np.asarray(posture, dtype=float) - start)[self._order]
         largest = np.empty(0) if max_step is None else np.asarray(max_step, dtype=float)[self._order]
         joints, position_error_m, rotation_error_rad = self._follow(target, start[self._order], pull, largest)
         if self.model.rotations < 3 and rotation_error_rad >= ROTATION_TOLERANCE_RAD:

@@ -15,18 +15,17 @@ from roboxim_eval.statistics.replicates import condition_rate
 from roboxim_eval.statistics.tables import Arm
 
 
-def experiment_markdown(card: Card, *, level: int = 1, warnings: Sequence[str] = ()) -> str:
+def experiment_markdown(card: Card, *, warnings: Sequence[str] = ()) -> str:
     """Return sentences, scores, rates by condition and by cell, deviations and provenance of an experiment.
 
     Args:
         card: A card whose scores follow from its counts.
-        level: Level of its heading.
         warnings: Further limitations of its results, besides its card's warnings.
 
     Raises:
         ConfigError: When the card lacks counts of a condition or a cell.
     """
-    return "\n".join(_experiment(card, level, warnings)) + "\n"
+    return "\n".join(_experiment(card, 1, warnings)) + "\n"
 
 
 def benchmark_markdown(card: BenchmarkCard, *, warnings: Mapping[str, Sequence[str]] | None = None) -> str:

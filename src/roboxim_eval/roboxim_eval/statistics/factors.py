@@ -67,7 +67,7 @@ class FactorEffect:
         return max(rates) - min(rates)
 
 
-def factor_effects(trials: Sequence[Trial], *, seed: int = 0) -> tuple[FactorEffect, ...]:
+def factor_effects(trials: Sequence[Trial]) -> tuple[FactorEffect, ...]:
     """Return the effect of each recorded factor that varies within strata, the smallest p value first.
 
     A factor that is constant within each stratum, e.g. the one by which cells are defined, is left out, because the
@@ -75,7 +75,6 @@ def factor_effects(trials: Sequence[Trial], *, seed: int = 0) -> tuple[FactorEff
 
     Args:
         trials: The episodes, in any order.
-        seed: Seed of the permutations.
     """
     trials = sorted(trials, key=lambda trial: (trial.stratum, trial.episode))
     names = sorted({name for trial in trials for name in trial.drawn})
@@ -89,7 +88,7 @@ def factor_effects(trials: Sequence[Trial], *, seed: int = 0) -> tuple[FactorEff
     members = [_members(group) for group in groups.values()]
     observed = [_between(residuals, indices) for indices in members]
     reached = np.zeros(len(groups), dtype=int)
-    for shuffled in _shuffles(trials, residuals, np.random.default_rng(seed)):
+    for shuffled in _shuffles(trials, residuals, np.random.default_rng(0)):
         reached += [
             int((_between(shuffled, indices) >= own - 1e-9).sum())
             for indices, own in zip(members, observed, strict=True)

@@ -27,6 +27,8 @@ from roboxim_eval.statistics.training_spread import mean_rate_interval
 
 MANY = 10**9
 """Degrees of freedom at which Student's t is the normal distribution."""
+MAX_TRAININGS = 10_000
+"""Number of trainings above which none is proposed."""
 MIN_REPLICATES = 3
 """Number of trainings below which no statement about a training condition is made."""
 
@@ -265,19 +267,16 @@ def mean_interval(estimates: Sequence[Interval]) -> Interval:
     return Interval(value=value, low=value - below, high=value + above)
 
 
-def more_trainings(
-    difference: ConditionDifference, margin: float, *, alpha: float = 0.05, max_trainings: int = 10_000
-) -> int | None:
+def more_trainings(difference: ConditionDifference, margin: float, *, alpha: float = 0.05) -> int | None:
     """Return about how many more trainings an arm would decide a margin with a chance of 80 %.
 
     Args:
         difference: The difference so far.
         margin: Difference to detect, 0..1.
         alpha: Probability of a false alarm of this comparison, two-sided.
-        max_trainings: Number of trainings above which none is returned.
 
     Returns:
-        Number in addition to the present ones; none for one replicate, or if it is above ``max_trainings``.
+        Number in addition to the present ones; none for one replicate, or if it is above `MAX_TRAININGS`.
     """
     if difference.replicates < 2 or margin <= 0:
         return None
@@ -286,7 +285,7 @@ def more_trainings(
     episodes = (first.episodes + second.episodes) / 2 / difference.replicates
     spread = max(difference.spread, 1 / max(1.0, episodes))  # a spread of 0 occurs by chance
     minimum = math.ceil(((_t_limit(1 - alpha / 2, MANY) + _t_limit(0.8, MANY)) * spread / margin) ** 2)
-    for replicates in range(max(2, difference.replicates, minimum), max_trainings + 1):
+    for replicates in range(max(2, difference.replicates, minimum), MAX_TRAININGS + 1):
         needed = _t_limit(1 - alpha / 2, replicates - 1) + _t_limit(0.8, replicates - 1)
         if needed * spread / math.sqrt(replicates) <= margin:
             return replicates - difference.replicates

@@ -156,14 +156,13 @@ def common_from_msg(msg: Any, planner: Planner, scene: PlanningScene, *, with_st
     )
 
 
-def query_without_graph(service: str, msg: Any, library: ModelLibrary, robot: str = "panda") -> tuple[Query, Planner]:
+def query_without_graph(service: str, msg: Any, library: ModelLibrary) -> tuple[Query, Planner]:
     """Return the query of a service's request and a planner for it, without a node.
 
     Args:
         service: One of `MAKERS`.
-        msg: The request.
+        msg: The request; without a robot, it is for the panda.
         library: Source of robots and objects.
-        robot: Robot model id for requests that name none.
 
     Raises:
         InvalidRequestError: If the request names a scene that only a running graph has, or is malformed.
@@ -171,7 +170,7 @@ def query_without_graph(service: str, msg: Any, library: ModelLibrary, robot: st
     request = msg.request
     if request.scene.episode_id:
         raise InvalidRequestError("a scene named by episode_id needs a running graph; give the objects in the request")
-    planner = Planner(library.robot(request.robot or robot))
+    planner = Planner(library.robot(request.robot or "panda"))
     scene = scene_from_msg(request.scene, None, library)
     common = common_from_msg(request, planner, scene, with_start=service != "retime_path")
     return MAKERS[service](common, msg), planner

@@ -280,17 +280,15 @@ def read_demonstrations(
     *,
     image_sizes: Mapping[str, int] | None = None,
     side_of: Callable[[str], int] | None = None,
-    split: str = "train",
     limit: int = 0,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Reading:
-    """Read a dataset of any registered format.
+    """Read the split ``train`` of a dataset of any registered format.
 
     Args:
         path: The dataset.
         image_sizes: Camera name to the side of the network's input [px]; None: all cameras.
         side_of: Camera name to its side, where ``image_sizes`` is None; None: as `LearningConfig.side_of`.
-        split: ``train`` or ``val``.
         limit: Largest number of episodes to read; 0: all.
         progress: Called with (episodes read, total episodes).
 
@@ -301,7 +299,7 @@ def read_demonstrations(
         RecorderError: When the dataset is damaged.
     """
     dataset = open_dataset(path)
-    total = min(dataset.splits.get(split, 0), limit or len(dataset))
+    total = min(dataset.splits.get("train", 0), limit or len(dataset))
     cameras = dataset.features.cameras
     default = side_of or LearningConfig().side_of
     sizes = dict(image_sizes or {camera: default(camera) for camera in cameras})
@@ -312,7 +310,7 @@ def read_demonstrations(
     semantics: ActionSemantics | None = None
     robots: set[str] = set()
     views: dict[str, set[str]] = {camera: set() for camera in sizes}
-    for index, episode in enumerate(itertools.islice(dataset.episodes(split), total)):
+    for index, episode in enumerate(itertools.islice(dataset.episodes("train"), total)):
         declared = require_semantics(episode, path)
         if semantics is not None:
             declared.require_compatible(semantics, owner=f"episode {index}", other_owner="episode 0")
@@ -321,10 +319,10 @@ def read_demonstrations(
         for camera, seen in views.items():
             seen.add(_view(episode, camera))
         episodes.append(_demonstration(episode, sizes))
-        _require_finite(episodes[-1], f"{path}: episode {index} of split '{split}'")
+        _require_finite(episodes[-1], f"{path}: episode {index} of split 'train'")
         progress(index + 1, total)
     if semantics is None:
-        raise ConfigError(f"{path}: split '{split}' has no episodes")
+        raise ConfigError(f"{path}: split 'train' has no episodes")
     if semantics.control is not ControlMode.END_EFFECTOR_DELTA or semantics.dimension() != ACTION_SIZE:
         raise ConfigError(
             f"{path}: its actions are {semantics.control} of {semantics.dimension()} numbers; it learns "

@@ -124,12 +124,12 @@ def episode_loop(
 class TryBench:
     """Cores to run episodes with. A context manager; belongs to the thread that made it."""
 
-    def __init__(self, renderer: str = "raster") -> None:
-        """Make the cores with a renderer by name."""
+    def __init__(self) -> None:
+        """Make the cores."""
         from roboxim_bringup.core_graph import CoreGraph
 
         self._folder = tempfile.TemporaryDirectory(prefix="roboxim-tries-", ignore_cleanup_errors=True)
-        self.graph: CoreGraph = CoreGraph(Path(self._folder.name), renderer=renderer)
+        self.graph: CoreGraph = CoreGraph(Path(self._folder.name))
         self.runs = 0
         """Number of episodes so far."""
 

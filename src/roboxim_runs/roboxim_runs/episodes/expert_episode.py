@@ -71,7 +71,7 @@ class ExpertEpisode:
 
 def expert_episode(
     task_config: str = "", *, cameras: tuple[CameraRequirement, ...] = (), rate_hz: float = 0.0, seed: int = 0,
-    index: int = 0, purpose: str = "eval", renderer: str = "raster", attempts: int = 5,
+    index: int = 0, renderer: str = "raster", attempts: int = 5,
 ) -> ExpertEpisode:  # fmt: skip
     """Run the expert until it succeeds, and return that episode.
 
@@ -81,7 +81,6 @@ def expert_episode(
         rate_hz: Control rate [Hz]; 0: the task's.
         seed: Seed of the run.
         index: Index of the first episode to try.
-        purpose: Purpose of the seeds.
         renderer: Renderer.
         attempts: Number of indices to try.
 
@@ -90,7 +89,7 @@ def expert_episode(
         RoboximError: When a scene cannot be drawn or rendered.
     """
     config = RunConfig(
-        run_seed=seed, purpose=purpose, task_config=task_config, rate_hz=rate_hz, output_dir="",
+        run_seed=seed, purpose="eval", task_config=task_config, rate_hz=rate_hz, output_dir="",
         cameras=tuple(camera.name for camera in cameras),
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder, CoreGraph(Path(folder), renderer=renderer) as graph:

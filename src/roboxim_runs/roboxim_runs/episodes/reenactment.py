@@ -73,15 +73,10 @@ class Recorded:
 class Reenactor:
     """A simulator and a recorder. A context manager; belongs to the thread that made it."""
 
-    def __init__(self, out: Path, renderer: str = "raster") -> None:
-        """Record into a run's folder.
-
-        Args:
-            out: The folder, absolute.
-            renderer: Renderer by name.
-        """
+    def __init__(self, out: Path) -> None:
+        """Record into a run's folder, by its absolute path."""
         self.library = ModelLibrary()
-        self._sim = CoreSim(self.library, renderer)
+        self._sim = CoreSim(self.library)
         self._out = out
 
     def __enter__(self) -> Reenactor:

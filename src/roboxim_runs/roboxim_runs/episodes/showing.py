@@ -249,13 +249,12 @@ def printed(run: Path, index: int) -> tuple[str, str]:
     return "", "The logs of its run do not separate episodes: it ran elsewhere, or with an earlier version."
 
 
-def expert_way(info: EpisodeInfo, folder: Path, *, renderer: str = "raster") -> Other:
+def expert_way(info: EpisodeInfo, folder: Path) -> Other:
     """Plan and execute the expert in an episode's scene, and record that.
 
     Args:
         info: The episode.
         folder: An empty folder for the bag.
-        renderer: Renderer.
 
     Raises:
         RoboximError: When the scene cannot be built here.
@@ -265,7 +264,7 @@ def expert_way(info: EpisodeInfo, folder: Path, *, renderer: str = "raster") -> 
     config = RunConfig(
         run_seed=info.run_seed, purpose=info.purpose, rate_hz=info.scene.control_rate_hz, output_dir=str(folder)
     )
-    with CoreGraph(folder, renderer=renderer) as graph:
+    with CoreGraph(folder) as graph:
         ports = replace(graph.ports, scenes=_Drawn(info))
         result = EpisodeRunner(ports, config).run_index(info.index)
     if not result.bag:

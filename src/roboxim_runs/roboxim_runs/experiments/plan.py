@@ -63,7 +63,7 @@ def plan_lines(name: str, scale: str, design: Design, rates: Rates | None, train
     cost = known_cost(design, rates, trainings)
     yield f"  time            {_unknown(design, rates, trainings) if cost is None else time_text(cost)}"
     if cost is not None and rates is not None:
-        yield f"                  {_success_text(cost, design, rates)}"
+        yield f"                  {_success_text(cost, rates)}"
         if named := _named_by_user(design):
             yield f"                  without what {named} take to answer, which is not known here"
         yield f"  disk            {cost.disk_bytes / 1e9:.1f} GB"
@@ -97,7 +97,7 @@ def _unknown(design: Design, rates: Rates | None, trainings: int) -> str:
     )
 
 
-def _success_text(cost: Cost, design: Design, rates: Rates) -> str:
+def _success_text(cost: Cost, rates: Rates) -> str:
     """Return which share of the rollouts is taken as successful, and why."""
     if cost.succeeded == 0:
         return "as if no rollout succeeded: these trainings are too short to learn anything"

@@ -57,18 +57,17 @@ class Proof:
     """What was measured, or why it failed and what to do."""
 
 
-def prove(robot: str, *, episodes: int = EPISODES, library: ModelLibrary | None = None) -> Iterator[Proof]:
+def prove(robot: str, *, episodes: int = EPISODES) -> Iterator[Proof]:
     """Check a robot; yield each outcome as soon as it is there.
 
     Args:
         robot: Id of the robot.
         episodes: Demonstrations of picking up a cube.
-        library: Where the robot is; none: the configuration folders.
 
     Raises:
         ConfigError: When its files are missing or invalid.
     """
-    library = library or ModelLibrary()
+    library = ModelLibrary()
     model = library.robot(robot)
     checks: tuple[tuple[str, Callable[[RobotModel], tuple[bool, str]]], ...] = (
         ("limits", _limits),

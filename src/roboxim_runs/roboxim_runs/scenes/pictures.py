@@ -49,20 +49,14 @@ MARK = (220, 40, 40)
 class ScenePainter:
     """Draws tasks as runs do, and pictures of scenes. A context manager; belongs to the thread that made it."""
 
-    def __init__(self, renderer: str = "raster", height: int = HEIGHT_PX) -> None:
-        """Make the cores that a run draws with.
-
-        Args:
-            renderer: Renderer by name.
-            height: Height of the pictures [px].
-        """
+    def __init__(self, renderer: str = "raster") -> None:
+        """Make the cores that a run draws with, and a renderer by name."""
         self._library = ModelLibrary()
         self._seen = CoreSegmentation(self._library, renderer)
         solvable = Solvability(self._library, CorePlanner(self._library))
         self._generator = EpisodeGenerator(self._library, solvable, Visibility(self._seen))
         self._world = World(self._library)
         self._states = StateRenderer(make_renderer(renderer), self._library)
-        self._height = height
 
     def __enter__(self) -> ScenePainter:
         """Return itself."""
@@ -115,8 +109,8 @@ class ScenePainter:
         return Image.fromarray(captioned(sheet, task.instruction, first) if task else sheet)
 
     def _enlarged(self, camera: CameraSpec) -> CameraSpec:
-        height = FINER * self._height
-        width = FINER * round(camera.width * self._height / camera.height)
+        height = FINER * HEIGHT_PX
+        width = FINER * round(camera.width * HEIGHT_PX / camera.height)
         if camera.intrinsics:
             scale = height / camera.height
             fx, fy, cx, cy = camera.intrinsics

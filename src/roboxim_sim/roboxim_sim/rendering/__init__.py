@@ -75,16 +75,17 @@ class RendererStatus:
     """The device that renders; for an unavailable renderer the reason and the remedy."""
 
 
-def available_renderers(names: Iterable[str] | None = None, timeout_s: float = 300.0) -> dict[str, RendererStatus]:
+def available_renderers(names: Iterable[str] | None = None) -> dict[str, RendererStatus]:
     """Test each renderer in a separate process, because a broken GL driver may crash or hang.
 
     Args:
         names: Renderers to test; none: all.
-        timeout_s: Time limit for each renderer [s].
     """
-    return {name: _probe(name, timeout_s) for name in (RENDERERS if names is None else names)}
+    return {name: _probe(name) for name in (RENDERERS if names is None else names)}
 
 
+PROBE_S = 300.0
+"""Time limit for each renderer [s]."""
 _PROBE = """
 import sys
 from roboxim_core.errors import RoboximError
@@ -98,13 +99,13 @@ renderer.close()
 """
 
 
-def _probe(name: str, timeout_s: float) -> RendererStatus:
+def _probe(name: str) -> RendererStatus:
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _PROBE, name], capture_output=True, text=True, timeout=timeout_s, check=False
+            [sys.executable, "-c", _PROBE, name], capture_output=True, text=True, timeout=PROBE_S, check=False
         )
     except subprocess.TimeoutExpired:
-        return RendererStatus(available=False, detail=f"gave no answer within {timeout_s:g} s")
+        return RendererStatus(available=False, detail=f"gave no answer within {PROBE_S:g} s")
     _, mark, detail = (done.stderr if done.returncode else done.stdout).rpartition("@@")
     if not mark:
         detail = f"died with exit status {done.returncode}: {done.stderr[-300:]}"

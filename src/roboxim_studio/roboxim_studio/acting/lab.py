@@ -24,16 +24,14 @@ if TYPE_CHECKING:
 class Lab:
     """Cores for drawing, simulating, planning and judging. Every method belongs to the thread of the first call."""
 
-    def __init__(self, renderer: str = "raster", policies: Sequence[ChosenPolicy] = ()) -> None:
-        """Use a renderer by name; nothing is made before it is needed.
+    def __init__(self, policies: Sequence[ChosenPolicy] = ()) -> None:
+        """Nothing is made before it is needed.
 
         Args:
-            renderer: Renderer by name.
             policies: Policies that may act, besides the expert. A page can name no others: making a policy runs code.
         """
         self.policies = {chosen.name: chosen for chosen in policies}
         """Policies that may act, by name."""
-        self._renderer = renderer
         self._graph: CoreGraph | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="roboxim-studio-", ignore_cleanup_errors=True)
         self._actors: dict[str, ActorPort] = {}
@@ -45,7 +43,7 @@ class Lab:
         if self._graph is None:
             from roboxim_bringup.core_graph import CoreGraph
 
-            self._graph = CoreGraph(Path(self._folder.name), renderer=self._renderer)
+            self._graph = CoreGraph(Path(self._folder.name))
         return self._graph
 
     def actor(self, name: str) -> ActorPort:
@@ -88,7 +86,7 @@ class Lab:
             from roboxim_sim.rendering import make_renderer
             from roboxim_sim.rendering.states import StateRenderer
 
-            self._states = StateRenderer(make_renderer(self._renderer), self.graph.sim.library)
+            self._states = StateRenderer(make_renderer("raster"), self.graph.sim.library)
         return {name: seen.rgb for name, seen in self._states.draw(scene, state).items()}
 
     def close(self) -> None:

@@ -67,14 +67,14 @@ class Steering:
     """Pose in the robot's base to which the tool goes while nothing else is held; None: it stays."""
 
     @staticmethod
-    def of_message(message: Mapping[str, Any], target: Pose | None = None) -> Steering:
+    def of_message(message: Mapping[str, Any]) -> Steering:
         """Return what a message of a page says; what is not understood counts as not held."""
         held = message.get("held")
         pad = message.get("pad")
         codes = [code for code in held if isinstance(code, str)][:MAX_HELD_KEYS] if isinstance(held, list) else []
         pad = pad if isinstance(pad, dict) else {}
         return Steering(
-            held=frozenset(codes), axes=_numbers(pad.get("axes")), buttons=_numbers(pad.get("buttons")), target=target,
+            held=frozenset(codes), axes=_numbers(pad.get("axes")), buttons=_numbers(pad.get("buttons")),
             space_mouse=SpaceMouse.of_reports(message.get("hid")),
         )  # fmt: skip
 

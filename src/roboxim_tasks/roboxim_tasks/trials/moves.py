@@ -56,9 +56,9 @@ def other_grasps(scene: ExpertScene) -> Iterator[tuple[Grasp, Pose]]:
             yield grasp, goal
 
 
-def slowed(stages: tuple[Stage, ...], share: float = SLOWLY) -> tuple[Stage, ...]:
+def slowed(stages: tuple[Stage, ...]) -> tuple[Stage, ...]:
     """Return stages at a fraction of their speed."""
-    return tuple(replace(stage, speed=stage.speed * share) for stage in stages)
+    return tuple(replace(stage, speed=stage.speed * SLOWLY) for stage in stages)
 
 
 def without(stages: tuple[Stage, ...], *names: str) -> tuple[Stage, ...]:

@@ -16,9 +16,9 @@ from roboxim_tasks.trials.base import cheat, honest
 from roboxim_tasks.trials.moves import about_vertical, around, each_way
 
 
-def on(support: str, target: str = "cube") -> Mapping[str, Any]:
-    """Return the changes to a task that leave one support and one target."""
-    models = {"support": support, "target": target}
+def on(support: str) -> Mapping[str, Any]:
+    """Return the changes to a task that leave one support, and the cube."""
+    models = {"support": support, "target": "cube"}
     return {"objects": {role: {"models": {"values": [model]}} for role, model in models.items()}}
 
 
