@@ -131,3 +131,26 @@ def audit(*episodes: Episode | AuditEpisode, checks: tuple[str, ...] = ()) -> Au
         made = item if isinstance(item, AuditEpisode) else AuditEpisode(name=f"e{number}", split="train", episode=item)
         auditor.add(made)
     return auditor.result()
+
+
+def found(check: str, *episodes: Any) -> tuple[str, ...]:
+    """Return the episodes in which a check finds a fault."""
+    return audit(*episodes, checks=(check,)).check(check).faulty_episodes
+
+
+def unchecked(check: str, *episodes: Any) -> str:
+    """Return the only reason why a check could not be made."""
+    result = audit(*episodes, checks=(check,)).check(check)
+    (reason,) = result.unchecked
+    assert result.status == "unchecked"
+    return reason
+
+
+def with_truth(name: str = "e0", **changes: Any) -> AuditEpisode:
+    """Return a clean episode with ground truth."""
+    return AuditEpisode(name=name, split="", episode=episode(), truth=truth(**changes))
+
+
+def texts(check: str, *episodes: Any) -> list[str]:
+    """Return what a check says."""
+    return [finding.text for finding in audit(*episodes, checks=(check,)).check(check).findings]
