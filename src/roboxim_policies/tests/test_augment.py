@@ -1,12 +1,11 @@
 """Augmented pictures and words differ from the recorded ones as configured, and in nothing else."""
 
-import sys
 from dataclasses import fields, replace
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from made_up_demonstrations import CONFIG, data
 
 from roboxim_core.config import to_json
 from roboxim_core.errors import ConfigError
@@ -16,9 +15,6 @@ from roboxim_policies.learning.config import RANGES
 from roboxim_policies.learning.families import FAMILIES, config_class
 from roboxim_policies.learning.train import Trainer
 from roboxim_policies.rt1s.config import RT1SConfig
-
-sys.path.insert(0, str(Path(__file__).parent))
-from test_bc import CONFIG, data  # noqa: E402
 
 STILL = BCConfig(brightness=0.0)
 SIDE, COUNT = 48, 64

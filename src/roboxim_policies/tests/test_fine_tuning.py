@@ -1,20 +1,16 @@
 """A training may begin with a checkpoint: of the same family and shape, with its weights, words and normalisation."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from made_up_demonstrations import CONFIG, data
 
 from roboxim_core.errors import ConfigError, EvaluationError
 from roboxim_policies.learning.checkpoint import load_checkpoint, policy_only
 from roboxim_policies.learning.policy import LearnedPolicy
 from roboxim_policies.learning.start import carried_statistics, carried_weights
 from roboxim_policies.learning.train import Trainer, statistics
-
-sys.path.insert(0, str(Path(__file__).parent))
-from test_bc import CONFIG, data  # noqa: E402
 
 SHORT = replace(CONFIG, steps=4)
 

@@ -1,13 +1,13 @@
 """Held-out demonstrations choose the weights, and end a training that no longer gets better on them."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_up_demonstrations import CONFIG, data, episode
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ConfigError
@@ -16,9 +16,6 @@ from roboxim_policies.learning.checkpoint import Checkpoint, load_checkpoint, po
 from roboxim_policies.learning.data import Reading, _view
 from roboxim_policies.learning.policy import LearnedPolicy
 from roboxim_policies.learning.train import Trainer
-
-sys.path.insert(0, str(Path(__file__).parent))
-from test_bc import CONFIG, data, episode  # noqa: E402
 
 HELD = replace(CONFIG, steps=40, checkpoint_every=10, held_out=4)
 
