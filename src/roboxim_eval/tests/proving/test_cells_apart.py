@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from clean_episode import words
 
 from roboxim_core.poses import Pose
 from roboxim_eval.experiments.proving.cells_apart import (
@@ -15,10 +16,6 @@ from roboxim_eval.experiments.proving.cells_apart import (
 )
 from roboxim_eval.experiments.proving.delivery import CHECKS
 from roboxim_eval.experiments.proving.demand import Allowed, Demand, View, gap
-
-
-def words(*values):
-    return Allowed(values=values)
 
 
 def span(low, high):
