@@ -49,7 +49,7 @@ NOT_RUN = {
     r"url=ws://": "a model's server: test_policy_servers.py",
     r"^(experiment run|benchmark transfer|pretrain) ": "minutes to hours of stages: .ci/run, test_experiment_shards.py",
     r"--depth-unit": "a dataset with depth: tests of roboxim_datasets",
-    r"^(benchmark (mine/|report)|experiment (join|pack|compare)) ?": "finished runs: test_experiment_results.py",
+    r"^(benchmark (mine/|report)|experiment (join|pack|compare)) ?": "runs: test_compared_models.py, test_packs.py",
     r"^experiment collect": "a card of all cells: test_collection.py",
     r"^merge '?runs/so": "finished shards: test_experiment_shards.py",
     r"^(experiment report|show) runs/(smoke|so|so-laptop)\b": "a run of minutes to hours: .ci/run",
