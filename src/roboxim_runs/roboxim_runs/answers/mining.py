@@ -7,12 +7,12 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from roboxim_core.config import digest, parse_yaml, to_plain
-from roboxim_core.episode import ActorPort, RunConfig
+from roboxim_core.episode import ActorPort, RunConfig, episode_id
 from roboxim_core.errors import ConfigError, ErrorCode, RoboximError, one_of
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.results_log import ResultsLog
@@ -20,9 +20,13 @@ from roboxim_core.plain_data.yaml_text import plain
 from roboxim_core.poses import Array
 from roboxim_core.seeds import SeedPath
 from roboxim_eval.answers.regions import Factor, Region, SearchConfig, search
+from roboxim_recorder.bag_writer import find_episode
 from roboxim_runs.answers.trying import TryBench
 from roboxim_runs.episodes.task_choice import cells_of
 from roboxim_runs.scenes.definitions import definitions_of, task_files
+
+if TYPE_CHECKING:
+    from roboxim_tasks.task_config import TaskConfig
 
 Place = tuple[str | int, ...]
 WORDS = {
@@ -42,6 +46,10 @@ PLACES = ("area", "position")
 """Last keys of ranges that are places in the world [m]."""
 UNITS = {"_rad": "rad", "_m": "m"}
 """Ends of keys to the unit of what they say."""
+AREA = ("reset", "objects", "area")
+"""The range in which a task's objects lie: at a point, it is that of one of them, for two cannot lie at one place."""
+OTHERS_AREA = ("reset", "distractors", "area")
+"""The range in which distractors lie: no factor where there are several, or some lie near the target."""
 ROLLOUTS = "rollouts.jsonl"
 """File of a search's folder with the outcome of each point."""
 SUCCESS, FAILURE, UNSOLVED, INFEASIBLE = "success", "failure", "unsolved", "infeasible"
@@ -87,6 +95,8 @@ class Mined:
 def factors_of(task_config: str, names: Sequence[str] = ()) -> dict[str, tuple[Factor, Place, int | None]]:
     """Return the factors of a task: name to the factor, the place of its range, and the component of a vector.
 
+    The area of several objects is a factor of the one of `role_at_point`; the area of several distractors is none.
+
     Args:
         task_config: Task configuration, YAML.
         names: Names, or what they begin with; empty: all.
@@ -95,8 +105,11 @@ def factors_of(task_config: str, names: Sequence[str] = ()) -> dict[str, tuple[F
         ConfigError: When a name is of no factor, or there is none.
     """
     found: dict[str, tuple[Factor, Place, int | None]] = {}
+    crowded, role = any(map(_crowded, cells_of(task_config))), role_at_point(task_config)
     for path, low, high in _ranges(parse_yaml(task_config), ()):
         name = ".".join(map(str, path))
+        if path == OTHERS_AREA and crowded:
+            continue
         if isinstance(low, list):
             for place, (a, b) in enumerate(zip(low, high, strict=True)):
                 if a < b:
@@ -110,6 +123,11 @@ def factors_of(task_config: str, names: Sequence[str] = ()) -> dict[str, tuple[F
     chosen = {key: value for key, value in found.items() if not names or key.startswith(tuple(names))}
     if not chosen:
         raise ConfigError("the task has no range {lower: ..., upper: ...} to search")
+    if role:
+        chosen = {
+            name: (replace(factor, words=f"the {role}") if path == AREA else factor, path, place)
+            for name, (factor, path, place) in chosen.items()
+        }
     return chosen
 
 
@@ -138,9 +156,35 @@ def _numbers(value: Any) -> bool:
     return bool(rows) and all(isinstance(one, int | float) and not isinstance(one, bool) for one in rows)
 
 
-def at_point(data: Any, factors: dict[str, tuple[Factor, Place, int | None]], point: Sequence[float]) -> Any:
-    """Return a task configuration whose factors have the values of a point, each in a range of almost no width."""
+def _crowded(task: TaskConfig) -> bool:
+    near = getattr(task.reset.get(OTHERS_AREA[1]), "near", None)
+    return task.distractors.maximum > 1 or task.distractors.maximum > 0 and near is not None
+
+
+def role_at_point(task_config: str) -> str:
+    """Return the role whose object alone lies at a point's place, since the task's area is of several; else empty."""
+    (task, *others) = cells_of(task_config)
+    area, apart = task.reset.get("interaction_area"), getattr(task.reset.get(AREA[1]), "roles", {})
+    placed = [role for role in task.objects if role not in apart and (area is None or role not in area.roles)]
+    if others or len(placed) < 2:
+        return ""
+    return "target" if "target" in placed else placed[0]
+
+
+def at_point(
+    data: Any, factors: dict[str, tuple[Factor, Place, int | None]], point: Sequence[float], role: str = ""
+) -> Any:
+    """Return a task configuration whose factors have the values of a point, each in a range of almost no width.
+
+    Args:
+        data: The task.
+        factors: The factors.
+        point: Their values.
+        role: Role whose object lies at the point's place, see `role_at_point`; the others lie where the task says.
+    """
     data = copy.deepcopy(data)
+    objects = (data.get(AREA[0]) or {}).get(AREA[1]) or {}
+    whole = copy.deepcopy(objects.get(AREA[2])) if role else None
     for (factor, path, place), value in zip(factors.values(), point, strict=True):
         inner = data
         for key in path:
@@ -152,6 +196,10 @@ def at_point(data: Any, factors: dict[str, tuple[Factor, Place, int | None]], po
         else:
             inner["lower"], inner["upper"] = list(inner["lower"]), list(inner["upper"])
             inner["lower"][place], inner["upper"][place] = float(low), float(high)
+    if whole is not None:
+        own = {key: value for key, value in objects.items() if key != "roles"}
+        objects["roles"] = {**(objects.get("roles") or {}), role: own}
+        objects[AREA[2]] = whole
     return data
 
 
@@ -195,7 +243,7 @@ class _Log:
         search = {
             "config": to_plain(config), "policy": policy.name, "version": policy.version,
             "definitions": definitions_of(cells_of(task), task_files(task)),
-        }  # fmt: skip
+        } | ({"placed": role} if (role := role_at_point(task)) else {})  # fmt: skip
         self._key = digest(search)
         folder.mkdir(parents=True, exist_ok=True)
         self._log = ResultsLog(folder / ROLLOUTS)
@@ -227,7 +275,7 @@ class _Points:
     ) -> None:  # fmt: skip
         self._bench, self._actor, self._config, self._factors = bench, actor, config, factors
         self._on_rollout, self._log = on_rollout, log
-        self._data = parse_yaml(config.task_config)
+        self._data, self._role = parse_yaml(config.task_config), role_at_point(config.task_config)
         self._failed: list[tuple[Array, SeedPath, str]] = []
         self.rollouts = self.unsolved = self.infeasible = 0
 
@@ -237,7 +285,7 @@ class _Points:
     def _fails(self, point: Array) -> bool | None:
         number = self.rollouts + self.infeasible
         seed = SeedPath(run_seed=self._config.search.seed, purpose="eval", index=number)
-        text = yaml.safe_dump(plain(at_point(self._data, self._factors, point.tolist())))
+        text = yaml.safe_dump(plain(at_point(self._data, self._factors, point.tolist(), self._role)))
 
         def played() -> str:
             return self._outcome(seed, text)
@@ -265,7 +313,7 @@ class _Points:
         return FAILURE if solved else UNSOLVED
 
     def recorded(self, region: Region, out: Path) -> list[str]:
-        """Run up to two failed scenes of a region again, and record them."""
+        """Run up to two failed scenes of a region again, and record them where a stopped search has not done so."""
         names = list(self._factors)
         inside = [
             (seed, text) for point, seed, text in self._failed
@@ -273,10 +321,13 @@ class _Points:
         ]  # fmt: skip
         found = []
         for seed, text in inside[-2:]:
+            if (bag := find_episode(out, episode_id(seed))) is not None:
+                found.append(bag.relative_to(out).as_posix())
+                continue
             draw = self._bench.graph.tasks.draw(seed, text)
             tried = self._bench.run(draw, self._actor, seed, config=replace(self._config.run), bags=out)
             found.append(tried.result.bag)
         return found
 
 
-__all__ = ["MineConfig", "Mined", "at_point", "factors_of", "mine"]
+__all__ = ["MineConfig", "Mined", "at_point", "factors_of", "mine", "role_at_point"]

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import shutil
 from types import SimpleNamespace
 
 import pytest
 import yaml
 from planted_causes import FailsWhere
 
-from roboxim_bringup.core_graph import CoreActor
+from roboxim_bringup.core_graph import CoreActor, CoreTasks
 from roboxim_core.config import parse_yaml
 from roboxim_core.episode import RunConfig
 from roboxim_core.errors import ConfigError, PolicyError, SimError
+from roboxim_core.models.library import ModelLibrary
+from roboxim_core.plain_data.yaml_text import plain
+from roboxim_core.seeds import SeedPath
 from roboxim_eval.answers.regions import SearchConfig
 from roboxim_runs.answers import mining
-from roboxim_runs.answers.mining import MineConfig, at_point, factors_of, mine
+from roboxim_runs.answers.mining import MineConfig, at_point, factors_of, mine, role_at_point
 from roboxim_runs.answers.trying import TryBench
 from roboxim_runs.episodes.task_choice import task_text
 from roboxim_runs.policies.specs import choose_policies
@@ -38,6 +42,23 @@ def test_ranges_of_a_task_are_its_factors():
         factors_of(yaml.safe_dump({"skill": "pick_up"}))
 
 
+@pytest.mark.parametrize("name", ["place_on", "pick_up", "tidy_up", "pick_cube_distractors"])
+def test_points_of_a_task_with_several_things_have_scenes_and_place_one_of_them(name):
+    text = task_text(name)
+    factors, role = factors_of(text), role_at_point(text)
+    names = list(factors)
+    assert not any(factor.startswith("reset.distractors") for factor in names)
+    tasks = CoreTasks(ModelLibrary())
+    for index, share in enumerate((0.2, 0.5, 0.8)):
+        values = [factor.lower + share * (factor.upper - factor.lower) for factor, _, _ in factors.values()]
+        task = yaml.safe_dump(plain(at_point(parse_yaml(text), factors, values, role)))
+        scene = tasks.draw(SeedPath(run_seed=3, purpose="eval", index=index), task).scene
+        placed = scene.entity(role or "target").pose.position
+        wanted = [values[names.index(f"reset.objects.area.{axis}")] for axis in (0, 1)]
+        assert placed[:2] == pytest.approx(wanted, abs=1e-4)
+    assert factors["reset.objects.area.0"][0].words == f"the {role or 'object'}"
+
+
 @pytest.mark.thorough
 def test_a_planted_region_is_found_and_its_scenes_are_solved_by_the_expert(tmp_path):
     config = MineConfig(
@@ -50,7 +71,10 @@ def test_a_planted_region_is_found_and_its_scenes_are_solved_by_the_expert(tmp_p
     except SimError as error:
         pytest.skip(str(error))
     with bench:
-        found = mine(bench, CoreActor(FailsWhere(conditions=[{"x": [0.3, 0.47]}])), config, out=tmp_path)
+        actor = CoreActor(FailsWhere(conditions=[{"x": [0.3, 0.47]}]))
+        found = mine(bench, actor, config, out=tmp_path)
+        shutil.rmtree(tmp_path / next(iter(found.bags.values()))[-1])  # as if it had been stopped between two bags
+        assert mine(bench, actor, config, out=tmp_path) == found
     (region,) = found.regions
     assert region.confirmed
     assert region.inside[0] > 5 > region.outside[0]
