@@ -221,6 +221,9 @@ def test_impossible_grasps_are_found(say: Callable[[str], str], library: ModelLi
     assert "the gripper opens to 0.08" in say(GOOD.replace("width_m: 0.04", "width_m: 0.09"))
     assert "closes on nothing" in say(GOOD.replace("rpy_deg: [180, 0, 0]", "position: [0, 0, 0.1]"))
     assert "closes on something that reaches 20 mm" in say(GOOD.replace("width_m: 0.04", "width_m: 0.01"))
+    brick((0.06, 0.04, 0.014)).export(folder(library) / "brick.glb")
+    assert "error: at top the Panda's fingertips would be up to 2.5 mm in the table" in say(GOOD)
+    assert say(GOOD.replace("rpy_deg: [180, 0, 0]", "position: [0, 0, 0.004], rpy_deg: [180, 0, 0]")) == ""
 
 
 def test_a_hull_that_closes_a_cavity_is_found(say: Callable[[str], str], library: ModelLibrary) -> None:
@@ -255,8 +258,9 @@ def test_floating_and_toppling_objects_are_found(say: Callable[[str], str], libr
     assert "give it a pose or shapes that stand" in say(text)
 
 
-def test_a_mesh_gets_a_first_file_that_passes(library: ModelLibrary) -> None:
-    brick((60.0, 40.0, 30.0)).export(folder(library) / "brick.glb")
+@pytest.mark.parametrize("height_mm", [30.0, 14.0])
+def test_a_mesh_gets_a_first_file_that_passes(library: ModelLibrary, height_mm: float) -> None:
+    brick((60.0, 40.0, height_mm)).export(folder(library) / "brick.glb")
     text = starter(folder(library) / "brick.glb")
     assert "mesh_scale: 0.001" in text
     (folder(library) / "brick.yaml").write_text(text)

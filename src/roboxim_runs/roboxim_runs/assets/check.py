@@ -22,6 +22,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.surfaces import rewrite
 from roboxim_core.poses import Pose, distance
 from roboxim_core.specs import EntitySpec, TableSpec
+from roboxim_runs.assets.floating_hand import CLEARANCE_M, TIP_BEYOND_TCP_M, lowest_tip
 from roboxim_runs.assets.solids import UPS
 from roboxim_sim.bodies import ObjectBody, build_table, configure
 from roboxim_sim.bullet import BulletClient
@@ -50,7 +51,26 @@ def check(target: str, library: ModelLibrary) -> list[Finding]:
     found, model = check_object(path, opening)
     if model is None or any(finding.severity == "error" for finding in found):
         return list(found)
-    return [*found, *stability(model)]
+    return [*found, *clearance(model), *stability(model)]
+
+
+def clearance(model: ObjectModel) -> list[Finding]:
+    """Check that fingers at the grasps of an object that stands on a table stay above the table."""
+    lows = {
+        grasp.name: model.rest_height + lowest_tip(grasp.pose.position, grasp.pose.rotation.as_matrix())
+        for grasp in model.grasps
+    }
+    inside = [name for name, low in lows.items() if low < 0]
+    if not inside:
+        return []
+    depth = -1e3 * min(lows.values())
+    return [
+        Finding(
+            severity="error" if len(inside) == len(lows) else "warning",
+            message=f"at {', '.join(inside)} the Panda's fingertips would be up to {depth:.1f} mm in the table, so "
+            "that it is never grasped there: move these grasps up",
+        )
+    ]
 
 
 def stability(model: ObjectModel) -> list[Finding]:
@@ -147,7 +167,9 @@ def starter(mesh: Path, unit: str = "", up: str = "z") -> str:
     hull, scale = hull_of(file), UNITS[chosen]
     low, high = hull.bounds * scale
     x, y = (high - low)[:2]
-    center = ", ".join(f"{value:.4f}" for value in (low + high) / 2)
+    middle = (low + high) / 2
+    middle[2] = max(middle[2], min(low[2] + TIP_BEYOND_TCP_M + CLEARANCE_M, high[2]))
+    center = ", ".join(f"{value:.4f}" for value in middle)
     mass = max(0.01, hull.volume * scale**3 * DENSITY)
     lines = [
         f"# What it is. Checked by: roboxim assets check {mesh.stem}.yaml",

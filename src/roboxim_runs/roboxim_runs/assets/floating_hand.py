@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 import pybullet
 
 from roboxim_core.models.articulation import object_link_poses
@@ -24,6 +25,10 @@ TIP = ((0.0175, 0.0152, 0.0185), (0.0, 0.00758, 0.04525))
 """Extents and middle of a fingertip's box in its finger's frame; the other finger's is its mirror image [m]."""
 TIP_BEYOND_TCP_M = FINGER_Z_M + TIP[1][2] + TIP[0][2] / 2 - HAND_TO_TCP_M
 """How far the fingertips reach beyond the tool centre point [m]."""
+HALF_TIP_M = 0.009
+"""Half the fingertips' extent across the closing direction, rounded up [m]."""
+CLEARANCE_M = 0.002
+"""Gap between the fingertips and the table at a new grasp [m]."""
 FORCE_N = 20.0
 """Force of a finger [N]."""
 LIFT_M = 0.12
@@ -37,6 +42,17 @@ PLACE = (0.5, 0.0)
 BLOCKED = "the open "
 """How the reason begins of a grasp for which the open hand has no room."""
 PARTS = {-1: "hand", 0: "left finger", 1: "right finger"}
+
+
+def lowest_tip(position: npt.ArrayLike, axes: npt.ArrayLike) -> float:
+    """Return the height of the lowest point of the fingertips at a grasp [m].
+
+    Args:
+        position: Tool centre point, shape (3,), z up [m].
+        axes: Axes of the hand as columns, shape (3, 3): z is its approach, y the closing direction.
+    """
+    x, _, z = np.asarray(axes).T
+    return float(np.asarray(position)[2] + TIP_BEYOND_TCP_M * min(0.0, z[2]) - HALF_TIP_M * abs(x[2]))
 
 
 class FloatingHand:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from roboxim_core.models.description import GraspAnnotation, ObjectModel
 from roboxim_core.poses import Array, Pose
-from roboxim_runs.assets.floating_hand import BLOCKED, TIP_BEYOND_TCP_M, Floating, FloatingHand, try_grasp
+from roboxim_runs.assets.floating_hand import BLOCKED, CLEARANCE_M, Floating, FloatingHand, lowest_tip, try_grasp
 from roboxim_runs.assets.solids import surface_points
 from roboxim_sim.bullet import BulletClient
 
@@ -34,8 +34,6 @@ STEEP = math.cos(math.radians(45))
 """Least share of its closing direction that is level: fingers do not fit under an object."""
 TILTS_RAD = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
 """Turns of the approach about the closing direction, from straight down [rad]."""
-CLEARANCE_M = 0.002
-"""Gap between the fingertips and the table [m]."""
 SLIDE_M = 0.008
 """How far up its approach a grasp may be moved to keep off the table: half a fingertip's pad [m]."""
 YAW_RAD, PLACE_M = math.radians(30), 0.02
@@ -161,13 +159,13 @@ def _grasp(pair: Array, tilt_rad: float, model: ObjectModel) -> GraspAnnotation 
     z /= np.linalg.norm(z)
     z = Rotation.from_rotvec(tilt_rad * y).apply(z)
     x = np.cross(y, z)
-    lowest = middle[2] + TIP_BEYOND_TCP_M * min(0.0, z[2]) - 0.009 * abs(x[2])
-    lack = CLEARANCE_M - model.rest_height - lowest
+    axes = np.stack([x, y, z], axis=1)
+    lack = CLEARANCE_M - model.rest_height - lowest_tip(middle, axes)
     if lack > 0:
         if z[2] > -0.2 or lack / -z[2] > SLIDE_M:
             return None
         middle = middle - z * lack / -z[2]
-    pose = Pose.from_arrays(middle, Rotation.from_matrix(np.stack([x, y, z], axis=1)))
+    pose = Pose.from_arrays(middle, Rotation.from_matrix(axes))
     name = "top" if tilt_rad == 0 else "side" if abs(tilt_rad) > math.radians(45) else "tilted"
     return GraspAnnotation(name=name, pose=pose, width_m=round(width, 4))
 
