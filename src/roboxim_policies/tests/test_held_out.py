@@ -11,6 +11,7 @@ from made_up_demonstrations import CONFIG, data, episode
 
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.errors import ConfigError
+from roboxim_core.vision.images import resized
 from roboxim_policies.learning import data as reading_of
 from roboxim_policies.learning.checkpoint import Checkpoint, load_checkpoint, policy_only
 from roboxim_policies.learning.data import Reading, _view
@@ -168,7 +169,13 @@ def test_a_number_that_is_not_finite_is_named_before_the_training(monkeypatch):
     with pytest.raises(ConfigError, match="set: episode 1 .*: component 2 of the action of step 3 is nan"):
         reading_of.read_demonstrations(Path("set"), image_sizes={"workspace": 16}, limit=2)
     shown[1].actions[3, 2] = 0.0
-    assert len(reading_of.read_demonstrations(Path("set"), image_sizes={"workspace": 16}, limit=2).episodes) == 2
+    found = reading_of.read_demonstrations(Path("set"), image_sizes={"workspace": 16}, limit=2)
+    together = found.assemble().images["workspace"]
+    expected = [resized(frame, 16, 16) for each in shown for frame in each.images["workspace"]]
+    assert len(found.episodes) == 2
+    assert np.array_equal(together, expected)
+    assert all(np.shares_memory(each.images["workspace"], together) for each in found.episodes)
+    assert isinstance(together, np.memmap), "demonstrations take disk space, not memory"
 
 
 def test_demonstrations_say_from_where_their_cameras_looked():

@@ -1,8 +1,8 @@
-"""Demonstrations in memory: images at the network's size, proprioception, actions, and training targets.
+"""Demonstrations: images at the network's size, proprioception, actions, and training targets.
 
-Images stay uint8; everything else is small. All arrays contain the steps of all episodes, one episode after another.
-Targets that only training can know (the gripper's pose at its next event, the time until then) come from the later
-steps of the same demonstration.
+Images stay uint8, and those that were read from a dataset are mapped from a file; everything else is small. All arrays
+contain the steps of all episodes, one episode after another. Targets that only training can know (the gripper's pose at
+its next event, the time until then) come from the later steps of the same demonstration.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ import numpy.typing as npt
 from roboxim_core.actions import ACTION_SIZE, ActionSemantics, ControlMode, GripperConvention, ReferenceFrame
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.proprioception import STATE_NAMES
+from roboxim_core.user_folders import cache_dir
 from roboxim_core.vision.images import resized
 from roboxim_datasets.episode import BETWEEN_ROBOTS, Episode
 from roboxim_datasets.formats import open_dataset
@@ -134,6 +136,7 @@ def assemble(
     robot: str = "",
     like: Demonstrations | None = None,
     camera_views: Mapping[str, tuple[str, ...]] | None = None,
+    images: Mapping[str, Images] | None = None,
 ) -> Demonstrations:
     """Combine demonstrations.
 
@@ -145,6 +148,8 @@ def assemble(
         like: Demonstrations that give the vocabulary and the opening of an empty gripper, to validate a network that
             was trained on them. None: both are measured.
         camera_views: See `Demonstrations`; None: unknown.
+        images: The images of all episodes, one episode after another, if they exist in this form; None: they are
+            copied together.
 
     Raises:
         ConfigError: When there are no episodes.
@@ -169,7 +174,7 @@ def assemble(
         *(grasps_of(e.proprio[:, 9], e.proprio[:, 2], e.actions[:, 6] < CLOSED_BELOW, empty) for e in kept), strict=True
     )
     return Demonstrations(
-        images={name: np.concatenate([episode.images[name] for episode in kept]) for name in kept[0].images},
+        images=dict(images or {n: np.concatenate([episode.images[n] for episode in kept]) for n in kept[0].images}),
         proprio=proprio_features(proprio),
         yaw=tool_yaw(proprio),
         up=up_in_tool(proprio) if semantics.frame is ReferenceFrame.TOOL else np.tile(UP, (len(actions), 1)),
@@ -244,10 +249,12 @@ class Reading:
     """Id of the robot model, or of several (`BETWEEN_ROBOTS`); empty: unknown."""
     camera_views: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """See `Demonstrations`."""
+    images: dict[str, Images] = field(default_factory=dict)
+    """Camera name to the images of all episodes, one episode after another, of which the episodes have views."""
 
     def assemble(self) -> Demonstrations:
         """Combine all episodes."""
-        return self._assembled(self.episodes)
+        return self._assembled(self.episodes, images=self.images)
 
     def split(self, held_out: int, seed: int) -> tuple[Demonstrations, Demonstrations | None]:
         """Combine the episodes to train on, and those to hold out.
@@ -268,10 +275,13 @@ class Reading:
         train = self._assembled([episode for i, episode in enumerate(self.episodes) if i not in out])
         return train, self._assembled([self.episodes[i] for i in sorted(out)], like=train)
 
-    def _assembled(self, episodes: list[Demonstration], like: Demonstrations | None = None) -> Demonstrations:
+    def _assembled(
+        self, episodes: list[Demonstration], like: Demonstrations | None = None,
+        images: Mapping[str, Images] | None = None,
+    ) -> Demonstrations:  # fmt: skip
         return assemble(
             episodes, camera_sizes=self.camera_sizes, semantics=self.semantics, robot=self.robot, like=like,
-            camera_views=self.camera_views,
+            camera_views=self.camera_views, images=images,
         )  # fmt: skip
 
 
@@ -285,6 +295,9 @@ def read_demonstrations(
 ) -> Reading:
     """Read the split ``train`` of a dataset of any registered format.
 
+    The images go to a file without a name in the user's cache and are mapped from there: they take disk space while
+    the result is used, and memory only as far as the kernel has some to spare.
+
     Args:
         path: The dataset.
         image_sizes: Camera name to the side of the network's input [px]; None: all cameras.
@@ -296,6 +309,7 @@ def read_demonstrations(
         ConfigError: When there is no dataset, a camera or a component of the state is not in it, episodes differ in
             their action semantics, or a number is not finite.
         InvalidRequestError: When there is no such split.
+        OSError: When the disk is full.
         RecorderError: When the dataset is damaged.
     """
     dataset = open_dataset(path)
@@ -310,6 +324,7 @@ def read_demonstrations(
     semantics: ActionSemantics | None = None
     robots: set[str] = set()
     views: dict[str, set[str]] = {camera: set() for camera in sizes}
+    files = {camera: _ImageFile(side) for camera, side in sizes.items()}
     for index, episode in enumerate(itertools.islice(dataset.episodes("train"), total)):
         declared = require_semantics(episode, path)
         if semantics is not None:
@@ -318,8 +333,11 @@ def read_demonstrations(
         robots.add(episode.robot)
         for camera, seen in views.items():
             seen.add(_view(episode, camera))
-        episodes.append(_demonstration(episode, sizes))
-        _require_finite(episodes[-1], f"{path}: episode {index} of split 'train'")
+        read = _demonstration(episode, sizes)
+        _require_finite(read, f"{path}: episode {index} of split 'train'")
+        for camera, file in files.items():
+            file.append(read.images[camera])
+        episodes.append(replace(read, images={}))
         progress(index + 1, total)
     if semantics is None:
         raise ConfigError(f"{path}: split 'train' has no episodes")
@@ -331,10 +349,35 @@ def read_demonstrations(
     if semantics.gripper is not GripperConvention.ABSOLUTE_OPEN_1_CLOSED_0:
         raise ConfigError(f"{path}: it learns grippers with 1 = open and 0 = closed; export such actions")
     camera_sizes = {camera: (cameras[camera].width, cameras[camera].height) for camera in sizes}
+    images = {camera: file.mapped() for camera, file in files.items()}
+    end = 0
+    for index, demonstration in enumerate(episodes):
+        begin, end = end, end + len(demonstration.actions)
+        own = {camera: pictures[begin:end] for camera, pictures in images.items()}
+        episodes[index] = replace(demonstration, images=own)
     return Reading(
         episodes=episodes, camera_sizes=camera_sizes, semantics=semantics, robot=BETWEEN_ROBOTS.join(sorted(robots)),
-        camera_views={camera: tuple(sorted(seen)) for camera, seen in views.items() if "" not in seen},
+        images=images, camera_views={camera: tuple(sorted(seen)) for camera, seen in views.items() if "" not in seen},
     )  # fmt: skip
+
+
+class _ImageFile:
+    """Images of one camera in a file without a name, which ends with the last array that is mapped from it."""
+
+    def __init__(self, side: int) -> None:
+        cache_dir().mkdir(parents=True, exist_ok=True)
+        self._file = tempfile.TemporaryFile(dir=cache_dir())  # noqa: SIM115 - lives as long as the arrays mapped from it
+        self._shape, self._count = (side, side, 3), 0
+
+    def append(self, images: Images) -> None:
+        """Add images of shape (T, side, side, 3)."""
+        self._file.write(np.ascontiguousarray(images).data)
+        self._count += len(images)
+
+    def mapped(self) -> Images:
+        """Return all images, shape (N, side, side, 3), read-only."""
+        self._file.flush()
+        return np.memmap(self._file, np.uint8, "r", shape=(self._count, *self._shape))
 
 
 def _view(episode: Episode, camera: str) -> str:

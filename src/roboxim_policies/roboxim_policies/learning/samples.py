@@ -162,7 +162,12 @@ class Samples(eqx.Module):
 
 def smaller(images: Images, side: int) -> Images:
     """Return pictures of shape (N, height, width, 3) with a side of ``side`` pixels."""
-    return images if images.shape[1] == side else np.stack([resized(image, side, side) for image in images])
+    if images.shape[1] == side:
+        return images
+    found = np.empty((len(images), side, side, 3), np.uint8)
+    for place, image in zip(found, images, strict=True):
+        place[:] = resized(image, side, side)
+    return found
 
 
 def loss_of(network: Network, inputs: Inputs, wanted: Wanted, config: LearningConfig) -> tuple[Array, dict[str, Array]]:
