@@ -50,7 +50,10 @@ def command(
         task_config=task_text(task), scenes=episodes, seed=seed, run=RunConfig(image_width=width, image_height=height)
     )
 
+    seen: list[SceneComparison] = []
+
     def print_scene(scene: SceneComparison) -> None:
+        seen.append(scene)
         ends = ["succeeds" if success else "fails" for success in scene.outcome]
         text = f"scene {scene.scene}: {one.name} {ends[0]}, {two.name} {ends[1]}"
         if scene.diverge_at is not None:
@@ -71,9 +74,14 @@ def command(
     with contextlib.ExitStack() as stack:
         line = None if as_json else stack.enter_context(ProgressLine("comparing policies", episodes, unit="scenes"))
         bench = stack.enter_context(TryBench())
-        found = compare(
-            bench, bench.actor(one), bench.actor(two), config, on_scene=print_scene, on_part=show_part
-        )  # fmt: skip
+        try:
+            found = compare(
+                bench, bench.actor(one), bench.actor(two), config, on_scene=print_scene, on_part=show_part
+            )  # fmt: skip
+        except BaseException:  # of a policy, or Ctrl-C: what was compared counts
+            for sentence in summary((one.name, two.name), seen) if seen else ():
+                click.echo(sentence, err=True)
+            raise
         if line is not None:
             line.update(episodes)
         runs = bench.runs
