@@ -84,6 +84,8 @@ class Mined:
     """The factors."""
     rollouts: int
     """Rollouts of the policy."""
+    failures: int
+    """Those that failed in a scene that the expert solves. A policy that fails everywhere has no region."""
     unsolved: int
     """Scenes that the policy failed and the expert did not solve either; they are no failures."""
     infeasible: int
@@ -231,7 +233,7 @@ def mine(
     bags = {r.words: points.recorded(r, out) for r in regions if r.confirmed} if out is not None else {}
     return Mined(
         regions=regions, factors=tuple(factor for factor, _, _ in factors.values()), rollouts=points.rollouts,
-        unsolved=points.unsolved, infeasible=points.infeasible, bags=bags,
+        failures=points.failures, unsolved=points.unsolved, infeasible=points.infeasible, bags=bags,
     )  # fmt: skip
 
 
@@ -278,6 +280,11 @@ class _Points:
         self._data, self._role = parse_yaml(config.task_config), role_at_point(config.task_config)
         self._failed: list[tuple[Array, SeedPath, str]] = []
         self.rollouts = self.unsolved = self.infeasible = 0
+
+    @property
+    def failures(self) -> int:
+        """Points at which the policy failed."""
+        return len(self._failed)
 
     def oracle(self, points: Array) -> list[bool | None]:
         return [self._fails(point) for point in points]

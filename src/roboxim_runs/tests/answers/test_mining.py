@@ -78,6 +78,7 @@ def test_a_planted_region_is_found_and_its_scenes_are_solved_by_the_expert(tmp_p
     (region,) = found.regions
     assert region.confirmed
     assert region.inside[0] > 5 > region.outside[0]
+    assert region.inside[0] < found.failures < found.rollouts
     assert "closer than" in region.words
     assert "near edge of its area" in region.words
     bags = found.bags[region.words]
@@ -122,6 +123,18 @@ def test_a_search_that_was_stopped_continues_without_playing_again(tmp_path):
         assert whole.unsolved == whole.rollouts == 6  # two ticks suffice neither the policy nor the expert
         with pytest.raises(ConfigError, match=r"another search or policy \(config.search.seed: 3 stored, 4"):
             mine(bench, CoreActor(rest), config(4), out=tmp_path)
+
+
+def test_a_policy_that_fails_everywhere_has_no_region_and_all_failures():
+    graph = SimpleNamespace(tasks=SimpleNamespace(draw=lambda *_: None))
+    bench = SimpleNamespace(graph=graph, expert="expert")
+    bench.run = lambda _draw, actor, _seed, config: SimpleNamespace(success=actor == "expert")
+    config = MineConfig(
+        task_config=task_text("pick_cube"), factors=("reset.objects.area",),
+        search=SearchConfig(first=8, rounds=1, per_round=6),
+    )  # fmt: skip
+    found = mine(bench, "policy", config)
+    assert (found.regions, found.failures, found.rollouts) == ([], 14, 14)
 
 
 def test_a_search_in_a_folder_is_of_one_state_of_its_policy_and_scenes(tmp_path, monkeypatch):

@@ -82,6 +82,7 @@ def command(
     if not any(region.confirmed for region in found.regions):
         click.echo("no region was confirmed")
     click.echo(
-        f"{found.rollouts} rollouts over {', '.join(factor.name for factor in found.factors)}; "
+        f"{found.failures} failures in {found.rollouts} rollouts over "
+        f"{', '.join(factor.name for factor in found.factors)}; "
         f"{found.unsolved} scenes not solved by the expert, {found.infeasible} points without a scene"
     )
