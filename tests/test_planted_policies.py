@@ -13,7 +13,8 @@ from roboxim_core.errors import SimError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.plain_data.merging import merged
 from roboxim_runs.experiments.delivery.substitution import satisfied
-from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment
+from roboxim_runs.experiments.run import run_experiment
+from roboxim_runs.experiments.run_config import ExperimentRunConfig
 from roboxim_runs.policies.planted import PlantedPolicy
 from roboxim_runs.policies.specs import PolicySpec
 

@@ -370,7 +370,8 @@ def experiment_run(make: Callable[..., T], options: dict[str, Any]) -> tuple[T, 
     Raises:
         ConfigError: When an option is wrong.
     """
-    from roboxim_runs.experiments.run import KINDS, named_policies
+    from roboxim_runs.experiments.run_config import KINDS
+    from roboxim_runs.experiments.trained.policies import named_policies
 
     executor, address = options.pop("executor"), options.pop("address")
     resources, training_resources = options.pop("resources"), options.pop("training_resources")

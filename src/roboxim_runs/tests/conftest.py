@@ -16,7 +16,7 @@ from roboxim_core.errors import RoboximError
 from roboxim_eval.experiments.proving.proofs import Tally
 from roboxim_ros.testing import runtime
 from roboxim_runs.experiments import stages as experiment_stages
-from roboxim_runs.experiments.run import ExperimentRunConfig
+from roboxim_runs.experiments.run_config import ExperimentRunConfig
 from roboxim_runs.policies.specs import find_policies
 from roboxim_runs.storage.folder import RunFolder
 from roboxim_runs.storage.store import STORED_FILE

@@ -33,7 +33,8 @@ from roboxim_runs.experiments.report import (
     write_card,
 )
 from roboxim_runs.experiments.report import STATE_FILE as EXPERIMENT_STATE_FILE
-from roboxim_runs.experiments.run import ExperimentRunConfig, SharedRunConfig, run_experiment
+from roboxim_runs.experiments.run import run_experiment
+from roboxim_runs.experiments.run_config import ExperimentRunConfig, SharedRunConfig
 from roboxim_runs.experiments.scenes.fresh import in_scenes_of, store_seed, stored_seed
 from roboxim_runs.policies.specs import PolicySpec
 from roboxim_runs.storage.folder import checked_path, make_folder

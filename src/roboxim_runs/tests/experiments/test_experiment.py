@@ -13,7 +13,8 @@ from roboxim_eval.experiments.proving.proofs import Fault, Tally
 from roboxim_runs.events import Notice
 from roboxim_runs.experiments import card as experiment_card
 from roboxim_runs.experiments import provenance as experiment_provenance
-from roboxim_runs.experiments.run import named_policies, run_experiment
+from roboxim_runs.experiments.run import run_experiment
+from roboxim_runs.experiments.trained.policies import named_policies
 from roboxim_runs.policies.specs import PolicySpec
 from roboxim_runs.storage.folder import locked
 from roboxim_runs.storage.store import STORED_FILE

@@ -17,7 +17,8 @@ from roboxim_eval.experiments.card_checks import check_card, concluded
 from roboxim_eval.experiments.fresh import SceneSeed, committed_text, public_text
 from roboxim_runs.experiments.benchmark import BenchmarkRunConfig, run_benchmark
 from roboxim_runs.experiments.report import ExperimentFolder, card_page, reproduction
-from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment
+from roboxim_runs.experiments.run import run_experiment
+from roboxim_runs.experiments.run_config import ExperimentRunConfig
 from roboxim_runs.experiments.scenes import again
 from roboxim_runs.experiments.scenes.again import _linked, attested_seed, take_trainings
 from roboxim_runs.experiments.scenes.fresh import COMMITTED, card_part, drawn_seed, in_scenes_of

@@ -22,7 +22,8 @@ from roboxim_runs.experiments.card import evaluation_folder
 from roboxim_runs.experiments.pack import pack, packed_files, unpack
 from roboxim_runs.experiments.provenance import file_sha256, folder_sha256
 from roboxim_runs.experiments.report import ExperimentFolder, folder_card, write_experiment_report
-from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment
+from roboxim_runs.experiments.run import run_experiment
+from roboxim_runs.experiments.run_config import ExperimentRunConfig
 
 
 def test_a_pack_survives_the_loss_of_its_machine(tmp_path):

@@ -186,7 +186,8 @@ def run(name: str, out: Path, shard: str, trained: Path | None, **options: Any) 
     from contextlib import nullcontext
 
     from roboxim_cli.printer import EventPrinter
-    from roboxim_runs.experiments.run import ExperimentRunConfig, run_experiment
+    from roboxim_runs.experiments.run import run_experiment
+    from roboxim_runs.experiments.run_config import ExperimentRunConfig
 
     fields = {**options, "experiment": name, "out": out, "shard": shard, "trained": trained or ""}
     config, runs_on, trains_on = experiment_run(ExperimentRunConfig, fields)
