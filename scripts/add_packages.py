@@ -6,28 +6,18 @@ For optional packages that run together with RoboXim, such as Ray. A later set-u
 from __future__ import annotations
 
 import sys
-import threading
 
-from environments import LOCKS, ROOT, Environment, SetupError, packages_key, say, show_progress, step, uv_pip
+from environments import LOCKS, ROOT, Environment, packages_key, reported, step, uv_pip
 
 
-def main(name: str) -> int:
+def main(name: str) -> None:
     """Install the packages unless they are there."""
     environment, lock = Environment(ROOT / ".venv"), LOCKS / f"{name}.lock"
-    stop = threading.Event()
-    threading.Thread(target=show_progress, args=(stop,), daemon=True).start()
-    try:
-        key = packages_key(lock)
-        if not environment.has(name, key):
-            with step(f"packages for {name}"), environment.writing(name, key):
-                uv_pip(environment, "install", "--require-hashes", "--no-deps", "--requirements", lock)
-    except SetupError as error:
-        say(str(error))
-        return 1
-    finally:
-        stop.set()
-    return 0
+    key = packages_key(lock)
+    if not environment.has(name, key):
+        with step(f"packages for {name}"), environment.writing(name, key):
+            uv_pip(environment, "install", "--require-hashes", "--no-deps", "--requirements", lock)
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(reported(lambda: main(*sys.argv[1:])))

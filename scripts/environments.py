@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -83,6 +83,20 @@ def show_progress(stop: threading.Event) -> None:
                 print(f"\r\033[K  {status}"[: width + 4], end="", flush=True)
             else:
                 print(f"    {status}", flush=True)
+
+
+def reported(work: Callable[[], None]) -> int:
+    """Do work and print the running steps meanwhile; return the exit status."""
+    stop = threading.Event()
+    threading.Thread(target=show_progress, args=(stop,), daemon=True).start()
+    try:
+        work()
+    except SetupError as error:
+        say(str(error))
+        return 1
+    finally:
+        stop.set()
+    return 0
 
 
 def describe(name: str) -> str:
