@@ -10,56 +10,23 @@ from __future__ import annotations
 import copy
 import random
 import re
-import shutil
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import trimesh
 import yaml
+from fuzzing import CI, FEW, MANY, accepted, mutated_bytes, run
 
 from roboxim_core.config import config_dir, load_config
 from roboxim_core.conventions.convention import load_convention
-from roboxim_core.errors import RoboximError
 from roboxim_core.models.check import check_object
 from roboxim_core.models.hulls import hull_of
 from roboxim_core.models.urdf import urdf_object
 from roboxim_runs.episodes.task_choice import task_text
 
-FEW, CI, MANY = 8, 100, 2000
 ODD = ("", "nan", "-1", "1e999", "0", "x" * 300, "\u00e4\u2028", "[]", "null", "${a}", "1,5", "../..")
 ODD_VALUES = (None, True, -1, 0, 1e308, float("nan"), float("inf"), "", "x", [], {}, [[]], {"a": 1}, "\u00e4", 10**30)
-
-
-def accepted(read: Callable[[], object]) -> bool:
-    """Read; return whether it was accepted. Only a `RoboximError` may refuse."""
-    try:
-        read()
-    except RoboximError:
-        return False
-    return True
-
-
-def mutated_bytes(data: bytes, rng: random.Random) -> bytes:
-    """Return bytes with one change: cut, a gap, a repeat, other bytes, nothing."""
-    if not data:
-        return b"\0"
-    at, size = rng.randrange(len(data)), rng.randint(1, max(1, min(64, len(data))))
-    kind = rng.choice(("flip", "cut", "gap", "repeat", "insert", "zero", "empty"))
-    if kind == "flip":
-        return data[:at] + bytes([data[at] ^ (1 << rng.randrange(8))]) + data[at + 1 :]
-    if kind == "cut":
-        return data[:at]
-    if kind == "gap":
-        return data[:at] + data[at + size :]
-    if kind == "repeat":
-        return data[: at + size] + data[at:]
-    if kind == "insert":
-        return data[:at] + rng.randbytes(size) + data[at:]
-    if kind == "zero":
-        return data[:at] + bytes(size) + data[at + size :]
-    return b""
 
 
 # ------------------------------------------------------------------ URDF and meshes
@@ -208,17 +175,6 @@ def fuzz_yaml(folder: Path, rng: random.Random) -> None:
 
 
 FORMATS = {"urdf": fuzz_urdf, "mesh": fuzz_mesh, "yaml": fuzz_yaml}
-
-
-def run(fuzz: Callable[[Path, random.Random], None], folder: Path, name: str, numbers: range) -> None:
-    for number in numbers:
-        place = folder / f"objects{number}"
-        place.mkdir()
-        try:
-            fuzz(place, random.Random(f"{name} {number}"))
-        except Exception as error:
-            raise AssertionError(f"mutation {number} of {name}, in {place}") from error
-        shutil.rmtree(place)
 
 
 @pytest.mark.parametrize("name", FORMATS)

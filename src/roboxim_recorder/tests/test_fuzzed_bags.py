@@ -9,56 +9,25 @@ from __future__ import annotations
 
 import random
 import shutil
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
+from fuzzing import CI, FEW, MANY, accepted, mutated_bytes, run
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from roboxim_core.errors import RoboximError
 from roboxim_recorder.bag import BagReader
 from roboxim_recorder.integrity.check import check_bag
 from roboxim_recorder.integrity.repair import repair_bag
 from roboxim_recorder.summary import bag_info
 
-FEW, CI, MANY = 8, 100, 2000
 ODD = ("", "nan", "-1", "0", "x" * 300, "\u00e4\u2028", "[]", "null", "../..")
 
 
 @pytest.fixture(scope="module")
 def small_bag(tmp_path_factory, fake):
     return fake(steps=2, settle=1).record(tmp_path_factory.mktemp("small"))
-
-
-def accepted(read: Callable[[], object]) -> bool:
-    """Read; return whether it was accepted. Only a `RoboximError` may refuse."""
-    try:
-        read()
-    except RoboximError:
-        return False
-    return True
-
-
-def mutated_bytes(data: bytes, rng: random.Random) -> bytes:
-    """Return bytes with one change: cut, a gap, a repeat, other bytes, nothing."""
-    if not data:
-        return b"\0"
-    at, size = rng.randrange(len(data)), rng.randint(1, max(1, min(64, len(data))))
-    kind = rng.choice(("flip", "cut", "gap", "repeat", "insert", "zero", "empty"))
-    if kind == "flip":
-        return data[:at] + bytes([data[at] ^ (1 << rng.randrange(8))]) + data[at + 1 :]
-    if kind == "cut":
-        return data[:at]
-    if kind == "gap":
-        return data[:at] + data[at + size :]
-    if kind == "repeat":
-        return data[: at + size] + data[at:]
-    if kind == "insert":
-        return data[:at] + rng.randbytes(size) + data[at:]
-    if kind == "zero":
-        return data[:at] + bytes(size) + data[at + size :]
-    return b""
 
 
 def rewritten(source: Path, target: Path, rng: random.Random) -> None:
@@ -133,7 +102,7 @@ def rewritten(source: Path, target: Path, rng: random.Random) -> None:
         writer.finish()
 
 
-def fuzz_bag(folder: Path, bag: Path, rng: random.Random) -> None:
+def fuzz_bag(folder: Path, rng: random.Random, bag: Path) -> None:
     source, target = next(bag.glob("*.mcap")), folder / bag.name / next(bag.glob("*.mcap")).name
     target.parent.mkdir()
     shutil.copy(bag / "metadata.yaml", target.parent)
@@ -152,26 +121,15 @@ def fuzz_bag(folder: Path, bag: Path, rng: random.Random) -> None:
         repair_bag(target.parent, folder / "saved")
 
 
-def run(folder: Path, bag: Path, numbers: range) -> None:
-    for number in numbers:
-        place = folder / str(number)
-        place.mkdir()
-        try:
-            fuzz_bag(place, bag, random.Random(f"mcap {number}"))
-        except Exception as error:
-            raise AssertionError(f"mutation {number}, in {place}") from error
-        shutil.rmtree(place)
-
-
 def test_no_mutation_of_a_bag_gives_a_traceback(tmp_path, small_bag):
-    run(tmp_path, small_bag, range(FEW))
+    run(partial(fuzz_bag, bag=small_bag), tmp_path, "mcap", range(FEW))
 
 
 @pytest.mark.fuzz
 def test_no_mutation_of_a_hundred_of_a_bag_gives_a_traceback(tmp_path, small_bag):
-    run(tmp_path, small_bag, range(FEW, CI))
+    run(partial(fuzz_bag, bag=small_bag), tmp_path, "mcap", range(FEW, CI))
 
 
 @pytest.mark.slow
 def test_no_mutation_of_many_of_a_bag_gives_a_traceback(tmp_path, small_bag):
-    run(tmp_path, small_bag, range(CI, MANY))
+    run(partial(fuzz_bag, bag=small_bag), tmp_path, "mcap", range(CI, MANY))
