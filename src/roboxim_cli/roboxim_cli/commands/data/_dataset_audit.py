@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 SHOWN = 3
 """Findings of a check that are printed; the report has more."""
-PATH = click.Path(path_type=Path)
 
 
 def _list_checks(context: click.Context, _: click.Parameter, value: bool) -> None:
