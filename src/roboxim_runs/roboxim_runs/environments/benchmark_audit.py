@@ -181,8 +181,8 @@ class _Prober:
         return {}
 
     def _unseeded(self) -> tuple[str, ...]:
-        self._env.reset(seed=3)
-        return tuple(digest(self._env.reset()[0]) for _ in range(3))
+        _reset(self._env, seed=3)
+        return tuple(digest(_reset(self._env)[0]) for _ in range(3))
 
     def _out_of_bounds(self) -> tuple[Trace, Trace]:
         """Play actions at twice their bounds, and the same ones clipped.
@@ -214,7 +214,7 @@ class _Prober:
 
     def _memory(self) -> Iterator[str]:
         """Yield faults of memory that the environment and its caller share."""
-        observation, _ = self._env.reset(seed=0)
+        observation, _ = _reset(self._env, seed=0)
         before = digest(observation)
         [action] = random_actions(self._env, 4, 1)
         kept = digest(action)
@@ -234,10 +234,7 @@ class _Prober:
         Raises:
             ConfigError: When the environment fails at a reset, or at an action that it must accept.
         """
-        try:
-            observation, info = _checked(env.reset(seed=seed))
-        except Exception as error:
-            raise ConfigError(f"reset(seed={seed}) failed: {type(error).__name__}: {error}") from error
+        observation, info = _reset(env, seed=seed)
         instruction = _instruction(env, info, observation)
         seen = [digest(observation)]
         rewards: list[float] = []
@@ -278,6 +275,19 @@ def random_actions(env: Environment, seed: int, count: int) -> list[Any]:
     """Return random actions of the environment's space; the same ones for the same seed."""
     env.action_space.seed(seed)
     return [env.action_space.sample() for _ in range(count)]
+
+
+def _reset(env: Environment, **options: int) -> Any:
+    """Return the observation and the info of a reset.
+
+    Raises:
+        ConfigError: When it fails.
+    """
+    try:
+        return _checked(env.reset(**options))
+    except Exception as error:
+        given = ", ".join(f"{name}={value}" for name, value in options.items())
+        raise ConfigError(f"reset({given}) failed: {type(error).__name__}: {error}") from error
 
 
 def _checked(returned: Any) -> Any:

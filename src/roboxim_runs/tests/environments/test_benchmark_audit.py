@@ -275,6 +275,15 @@ def test_a_reset_without_an_info_is_refused():
         audit_benchmark(Old, CONFIG)
 
 
+def test_an_environment_without_resets_without_a_seed_is_refused():
+    class Seeded(Reach):
+        def reset(self, *, seed, options=None):
+            return super().reset(seed=seed)
+
+    with pytest.raises(ConfigError, match=r"reset\(\) failed: TypeError: .*missing .*'seed'"):
+        audit_benchmark(Seeded, CONFIG)
+
+
 def test_an_environment_that_fails_to_close_keeps_its_audit():
     class Unclosed(Reach):
         def close(self):
