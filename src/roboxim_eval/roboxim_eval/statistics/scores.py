@@ -13,7 +13,7 @@ condition without words (``blind``), and u_seen, s_seen the rates in cells that 
 | competence | u_seen - s_seen | different numbers of demonstrations a cell; a weakened baseline |
 
 Substitution is the share of failed held-out episodes that satisfied another instruction of the training. If no scene
-allows one, it is always 0; `roboxim_runs.experiments.scene_leakage` reports this from the task files.
+allows one, it is always 0; `roboxim_runs.experiments.scenes.leakage` reports this from the task files.
 """
 
 from __future__ import annotations

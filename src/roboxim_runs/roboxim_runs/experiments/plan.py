@@ -13,7 +13,7 @@ from roboxim_eval.experiments.allocation import Allocation
 from roboxim_eval.experiments.cost import detectable_drop, same_checkpoints, trainings_at_once
 from roboxim_eval.experiments.spread import primary_components
 from roboxim_eval.statistics.components import Components, pooled_components
-from roboxim_runs.experiments.scene_leakage import scene_leakage
+from roboxim_runs.experiments.scenes.leakage import scene_leakage
 
 NO_RATES = (
     "unknown: no rates of this machine were measured; 'roboxim experiment calibrate' measures them in a few minutes"

@@ -33,7 +33,7 @@ from roboxim_runs.experiments.card import (
     stage_name,
 )
 from roboxim_runs.experiments.files import checked_design
-from roboxim_runs.experiments.scene_leakage import scene_leakage
+from roboxim_runs.experiments.scenes.leakage import scene_leakage
 from roboxim_runs.experiments.trained.policies import policy_of
 from roboxim_runs.policies.specs import PolicySpec
 

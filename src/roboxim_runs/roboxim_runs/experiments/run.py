@@ -54,9 +54,9 @@ from roboxim_runs.experiments.provenance import (
 )
 from roboxim_runs.experiments.report import STATE_FILE, ExperimentFolder, write_card, write_experiment_report
 from roboxim_runs.experiments.run_config import RENDERER, ExperimentRunConfig
-from roboxim_runs.experiments.scene_leakage import scene_leakage
 from roboxim_runs.experiments.scenes.again import scenes_of, take_trainings
 from roboxim_runs.experiments.scenes.fresh import COMMITTED, in_scenes_of, store_seed
+from roboxim_runs.experiments.scenes.leakage import scene_leakage
 from roboxim_runs.experiments.stages import Stages
 from roboxim_runs.experiments.trained.policies import (
     is_named,

@@ -7,7 +7,7 @@ from roboxim_core.models.library import ModelLibrary
 from roboxim_core.seeds import SeedPath
 from roboxim_eval.experiments import design_of, mix_of
 from roboxim_runs.experiments.files import load_experiment
-from roboxim_runs.experiments.scene_leakage import scene_leakage
+from roboxim_runs.experiments.scenes.leakage import scene_leakage
 from roboxim_tasks.config import task_mix
 from roboxim_tasks.meaning import read_instruction
 from roboxim_tasks.sampling.episodes import EpisodeGenerator
