@@ -277,7 +277,7 @@ def random_actions(env: Environment, seed: int, count: int) -> list[Any]:
     return [env.action_space.sample() for _ in range(count)]
 
 
-def _reset(env: Environment, **options: int) -> Any:
+def _reset(env: Environment, **options: Any) -> Any:
     """Return the observation and the info of a reset.
 
     Raises:
