@@ -15,6 +15,7 @@ from roboxim_core.plain_data.documents import read_json
 from roboxim_core.whole_files import write_whole
 from roboxim_eval.benchmark.card import BenchmarkCard, check_benchmark_card, concluded_benchmark
 from roboxim_eval.benchmark.config import BenchmarkConfig, experiment_changes
+from roboxim_eval.experiments import ExperimentConfig
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.fresh import SceneSeed
 from roboxim_eval.experiments.reductions import deciding
@@ -107,11 +108,12 @@ def run_benchmark(
     """
     benchmark = load_benchmark(config.benchmark)
     out = checked_path(config.out)
-    make_folder(out)
     _require_experiments(benchmark, config)
     changes = experiment_changes(benchmark, config.scale)
+    experiments = benchmark_experiments(benchmark, config.scale, config.trainer)  # a refused call leaves no state
     seed = _seed_of(benchmark, config)
-    cards = _cards_from_elsewhere(benchmark, config, seed)
+    cards = _cards_from_elsewhere(benchmark, experiments, config, seed)
+    make_folder(out)
     state = {"benchmark": config.benchmark, "scale": config.scale, "trainer": config.trainer}
     _require_same(out / STATE_FILE, state)
     write_whole(out / STATE_FILE, json.dumps(state, indent=2) + "\n")
@@ -156,8 +158,9 @@ def _seed_of(benchmark: BenchmarkConfig, config: BenchmarkRunConfig) -> SceneSee
 
 
 def _cards_from_elsewhere(
-    benchmark: BenchmarkConfig, config: BenchmarkRunConfig, seed: SceneSeed | None
-) -> dict[str, Card]:
+    benchmark: BenchmarkConfig, experiments: Mapping[str, ExperimentConfig], config: BenchmarkRunConfig,
+    seed: SceneSeed | None,
+) -> dict[str, Card]:  # fmt: skip
     """Return the cards that were named, and those that the folder holds without a run, by experiment.
 
     Raises:
@@ -165,13 +168,9 @@ def _cards_from_elsewhere(
     """
     out = checked_path(config.out)
     stored = [out / name / CARD_FILE for name in benchmark.experiments if has_only_card(out / name)]
-    paths = (*stored, *config.cards)
-    planned = {
-        name: in_scenes_of(one, seed.seed if seed else config.scene_seed)
-        for name, one in (benchmark_experiments(benchmark, config.scale, config.trainer) if paths else {}).items()
-    }
+    planned = {name: in_scenes_of(one, seed.seed if seed else config.scene_seed) for name, one in experiments.items()}
     found: dict[str, Card] = {}
-    for path in paths:
+    for path in (*stored, *config.cards):
         card = stored_card(path)
         name = card.experiment.name
         if name not in benchmark.experiments:

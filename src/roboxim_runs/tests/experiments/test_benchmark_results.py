@@ -46,6 +46,7 @@ def planted_benchmark(tmp_path, monkeypatch):
         return ExperimentResult(out=Path(config.out), finished=(), missing=(), card=card)
 
     monkeypatch.setattr(benchmark, "run_experiment", run_experiment)
+    monkeypatch.setattr(benchmark, "benchmark_experiments", lambda *_: {})
     file = tmp_path / "mine.yaml"
     file.write_text(
         "about: All of it?\nexperiments: [one, two]\nscales: {night: {replicates: {count: 3}}}\n"
@@ -161,3 +162,10 @@ def test_policies_of_a_benchmark_are_named_with_their_experiment(planted_benchma
     wrong = {"three.leave_out": PolicySpec(spec="zero")}
     with pytest.raises(ConfigError, match="expected EXPERIMENT.CONDITION"):
         run_benchmark(BenchmarkRunConfig(benchmark=str(file), out=tmp_path / "wrong", policies=wrong))
+
+
+@pytest.mark.parametrize("wrong", [{"scale": "tiny"}, {"trainer": "nobody"}])
+def test_a_refused_benchmark_leaves_nothing_that_the_right_command_stumbles_over(tmp_path, wrong):
+    with pytest.raises(ConfigError, match="tiny|nobody"):
+        run_benchmark(BenchmarkRunConfig(benchmark="transfer", out=tmp_path / "out", **wrong))
+    assert not (tmp_path / "out").exists()
