@@ -196,7 +196,7 @@ def load_policy(spec: str, **kwargs: Any) -> Policy:
     """
     make = find_policy(spec)
     require_arguments(spec, make, kwargs)
-    with _blaming(f"policy '{spec}' cannot be made"):
+    with blaming(f"policy '{spec}' cannot be made"):
         policy = make(**kwargs)
     missing = [name for name in ("describe", "reset", "act") if not callable(getattr(policy, name, None))]
     if missing:
@@ -265,14 +265,15 @@ def _load_class(spec: str) -> Callable[..., Policy]:
     found: Callable[..., Policy] | None = getattr(module, name, None)
     if not callable(found):
         classes = [key for key, value in vars(module).items() if isinstance(value, type) and hasattr(value, "act")]
-        raise ConfigError(f"no policy class '{name}' in '{where}'; {one_of(classes, name)}")
+        known = one_of(classes, name) if classes else "it has no class with a method act"
+        raise ConfigError(f"no policy class '{name}' in '{where}'; {known}")
     if isinstance(found, type) and inspect.isabstract(found):
         raise ConfigError(f"policy '{spec}' is abstract: implement its act method")
     return found
 
 
 def _import_module(name: str) -> ModuleType:
-    with _blaming(f"policy module '{name}' cannot be imported"):
+    with blaming(f"policy module '{name}' cannot be imported"):
         try:
             return importlib.import_module(name)
         except ModuleNotFoundError as error:
@@ -286,12 +287,12 @@ def _import_module(name: str) -> ModuleType:
 def _import_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise ConfigError(f"no such file: {path}")
-    with _blaming(f"policy file {path} cannot be imported"):
+    with blaming(f"policy file {path} cannot be imported"):
         return run_file(path, path.stem)
 
 
 @contextmanager
-def _blaming(what: str) -> Iterator[None]:
+def blaming(what: str) -> Iterator[None]:
     """Convert exceptions of a user's code, including ``SystemExit``, to errors that say where they were raised."""
     try:
         yield

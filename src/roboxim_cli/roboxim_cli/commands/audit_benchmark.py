@@ -59,12 +59,18 @@ def command(
     ENVIRONMENT is a registered id, or MODULE:ID with the module that registers it. The exit code is 1 when a fault was
     found.
     """
+    from roboxim_core.errors import ConfigError, PolicyError
     from roboxim_policies.base import find_policy
     from roboxim_runs.environments.benchmark_audit import AuditConfig, audit_benchmark, environment_maker
 
+    if solver and ":" not in solver:
+        raise click.UsageError(f"--solver must be FILE.py:NAME or MODULE:NAME, with a function's name; got '{solver}'")
     config = AuditConfig(seeds=seeds, steps=steps, episodes=episodes, limit=limit)
     make = environment_maker(environment, **_options(options))
-    found = audit_benchmark(make, config, solver=find_policy(solver) if solver else None)  # type: ignore[arg-type]
+    try:
+        found = audit_benchmark(make, config, solver=find_policy(solver) if solver else None)  # type: ignore[arg-type]
+    except PolicyError as error:
+        raise ConfigError(str(error)) from error  # exit code 1 is for faults of the environment
     if as_json:
         click.echo(json.dumps(dataclasses.asdict(found), indent=2))
     else:

@@ -16,8 +16,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, nearest
 from roboxim_eval.auditing import Audit, Probes, Trace, audit_findings, digest
+from roboxim_policies.base import blaming
 from roboxim_runs.environments.ids import register
 
 Environment = gymnasium.Env[Any, Any]
@@ -73,8 +74,10 @@ def environment_maker(name: str, /, **options: Any) -> Callable[[], Environment]
             importlib.import_module(module)
         gymnasium.spec(name_there)
     except (ImportError, gymnasium.error.Error) as error:
+        hint = nearest(gymnasium.registry, name_there)
         raise ConfigError(
-            f"no environment '{name}': {error}; name a registered id, or MODULE:ID with the module that registers it"
+            f"no environment '{name}': {error}; {f'{hint} Else name' if hint else 'name'} a registered id, or "
+            "MODULE:ID with the module that registers it"
         ) from error
     return lambda: gymnasium.make(name_there, disable_env_checker=True, **options)
 
@@ -91,7 +94,9 @@ def audit_benchmark(
             actions solve.
 
     Raises:
-        ConfigError: When the environment fails at a reset, or at an action of its own space.
+        ConfigError: When the environment fails at a reset, or at an action of its own space, or the solver returns no
+            function.
+        PolicyError: When the solver raises; the message says where.
     """
     config = config or AuditConfig()
     try:
@@ -99,11 +104,32 @@ def audit_benchmark(
     except Exception as error:
         raise ConfigError(f"the environment cannot be made: {type(error).__name__}: {error}") from error
     try:
-        return audit_findings(_Prober(first, config).probes(second, solver))
+        return audit_findings(_Prober(first, config).probes(second, _blamed(solver) if solver else None))
     finally:
         for env in (first, second):
             with suppress(Exception):  # what was found counts, however the environment ends
                 env.close()
+
+
+def _blamed(solver: Callable[[], Actor]) -> Callable[[], Actor]:
+    """Return a solver whose errors are its own and not the environment's."""
+
+    def make() -> Actor:
+        with blaming("the solver does not return a policy"):
+            actor = solver()
+        if not callable(actor):
+            raise ConfigError(
+                "the solver must return a policy, a function of observation and instruction; got "
+                f"{type(actor).__name__}"
+            )
+
+        def act(observation: Any, words: str) -> Any:
+            with blaming("the solver's policy failed"):
+                return actor(observation, words)
+
+        return act
+
+    return make
 
 
 class _Prober:
