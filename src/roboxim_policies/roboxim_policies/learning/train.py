@@ -139,6 +139,8 @@ class Trainer:
             ignored = () if self.config.held_out else ("checkpoint_every",)
             changes = differences(to_plain(found.config), to_plain(self.config), ignore=ignored)
             other = [f"another configuration ({changes})"] if changes else []
+            if found.config.FAMILY != self.config.FAMILY:
+                other = [f"another family ('{found.config.FAMILY}', not '{self.config.FAMILY}')"]
             if found.started_from.get("digest") != self._started_from.get("digest"):
                 other.append("another start (--from)")
             elif found.identity.rpartition("-")[2] != self._identity.rpartition("-")[2]:
