@@ -46,15 +46,17 @@ def parse_options(assignments: Iterable[str]) -> dict[str, Any]:
     """Parse ``key=value`` words with YAML values.
 
     Raises:
-        ConfigError: When a word is not of this form.
+        ConfigError: When a word is not of this form, or a key is given twice.
     """
     from roboxim_core.plain_data.yaml_text import parse
 
-    options = {}
+    options: dict[str, Any] = {}
     for word in assignments:
         key, equals, value = word.partition("=")
         if not equals or not key.isidentifier():
             raise ConfigError(f"'{word}' is not an option; expected key=value")
+        if key in options:
+            raise ConfigError(f"'{key}' was given twice; it takes one value")
         options[key] = parse(value, source=f"value of option '{key}'")
     return options
 

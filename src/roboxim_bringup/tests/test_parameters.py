@@ -45,5 +45,7 @@ def test_options_and_policies():
     assert parse_options(["checkpoint=/tmp/a", "k=3"]) == {"checkpoint": "/tmp/a", "k": 3}
     with pytest.raises(ConfigError, match="key=value"):
         parse_options(["checkpoint"])
+    with pytest.raises(ConfigError, match="'k' was given twice"):
+        parse_options(["k=3", "k=4"])
     assert (parse_policy("a:B").namespace, parse_policy("a:B").spec) == ("policy", "a:B")
     assert (parse_policy("mine=a:B").namespace, parse_policy("mine=a:B").spec) == ("mine", "a:B")

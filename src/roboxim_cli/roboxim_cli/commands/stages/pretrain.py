@@ -44,15 +44,15 @@ def command(
     Ctrl-C stops; the same command continues. OUT/NAME.npz has the weights, and what was demonstrated:
     OUT/exposure.json counts skills, objects, looks and cameras in the recorded episodes.
     """
-    from roboxim_bringup.parameters import parse_options
+    import shlex
+
     from roboxim_bringup.process import keep_freed_memory
-    from roboxim_cli.options import parse_size
+    from roboxim_cli.options import parse_size, training_fields
     from roboxim_cli.printer import EventPrinter
     from roboxim_runs.training.pretraining import PretrainConfig, pretrain
     from roboxim_runs.training.run import read_config
 
-    given = {name: value for name, value in (("seed", seed), ("steps", steps)) if value is not None}
-    learning = read_config(family, config, {**parse_options(changes), **given})
+    learning = read_config(family, config, training_fields(changes, seed=seed, steps=steps))
     keep_freed_memory()
     with EventPrinter() as printer:
         result = pretrain(
@@ -63,4 +63,4 @@ def command(
         f"{result.checkpoint}: {exposure['episodes']} demonstrations of {len(exposure['skills'])} skills with "
         f"{len(exposure['objects'])} objects in {len(exposure['looks'])} looks; {result.training.steps} steps"
     )
-    click.echo(f"next: roboxim train {family} DATASET --from {result.checkpoint} --steps 1000")
+    click.echo(f"next: roboxim train {family} DATASET --from {shlex.quote(str(result.checkpoint))} --steps 1000")

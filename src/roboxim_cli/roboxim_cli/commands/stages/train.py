@@ -104,13 +104,14 @@ def _train(
     family: str, dataset: Path, out: Path, given: dict[str, int | None], start: Path | None, config: Path | None,
     changes: tuple[str, ...], until: int | None, episodes: int,
 ) -> None:  # fmt: skip
-    from roboxim_bringup.parameters import parse_options
+    import shlex
+
     from roboxim_bringup.process import keep_freed_memory
+    from roboxim_cli.options import training_fields
     from roboxim_cli.printer import EventPrinter
     from roboxim_runs.training.run import read_config, train_policy
 
-    chosen = {name: value for name, value in given.items() if value is not None}
-    settings = read_config(family, config, {**parse_options(changes), **chosen}, start=start)
+    settings = read_config(family, config, training_fields(changes, **given), start=start)
     keep_freed_memory()
     with EventPrinter() as printer:
         result = train_policy(
@@ -127,4 +128,4 @@ def _train(
         click.echo(f"{result.checkpoint} has {result.steps} of {settings.steps} steps already{reached}; nothing to do")
     if result.chosen:
         click.echo(f"the policy has the weights of {result.chosen}")
-    click.echo(f"next: roboxim evaluate --policy {family} --checkpoint {out} --policy random")
+    click.echo(f"next: roboxim evaluate --policy {family} --checkpoint {shlex.quote(str(out))} --policy random")
