@@ -230,7 +230,7 @@ def main() -> None:
         if error.errno not in DISK_ERRORS:
             raise
         path = f"{error.filename}: " if error.filename else ""
-        click.echo(
-            f"error: {path}{error.strerror}; free some space or check the folder, and run again [DISK]", err=True
-        )
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        advice = "free some space, and run again" if full else "check the path and its permissions, or choose another"
+        click.echo(f"error: {path}{error.strerror}; {advice} [DISK]", err=True)
         sys.exit(1)

@@ -9,7 +9,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from roboxim_cli.catalog import PART_OF, fresh_catalog, names_of
-from roboxim_core.config_folders import is_path
+from roboxim_core.config_folders import config_names, is_path
 from roboxim_core.errors import ConfigError, RoboximError, one_of
 
 
@@ -42,7 +42,8 @@ class Named(click.ParamType[str]):
         known = self._known()
         for name in text.split(",") if self.kind == "skill" else (text,):
             if known and name.strip() not in known and not self._is_refused(name):
-                raise ConfigError(f"unknown {self.kind} '{name}'; {one_of(known, name)}")
+                hint = _as_benchmark(name) if self.kind == "experiment" else ""
+                raise ConfigError(f"unknown {self.kind} '{name}'; {hint or one_of(known, name)}")
         return text
 
     def _is_refused(self, text: str) -> bool:
@@ -69,6 +70,13 @@ class Named(click.ParamType[str]):
             return names_of(self.kind)
         kept = (fresh_catalog(PART_OF[self.kind]) or {}).get("skills" if self.kind == "skill" else "policies", {})
         return sorted({*kept, *self._names}) if kept else []
+
+
+def _as_benchmark(name: str) -> str:
+    """Return how a benchmark is run and planned whose name was given for an experiment's; empty: it is no benchmark."""
+    if name not in config_names("benchmark"):
+        return ""
+    return f"it is a benchmark: roboxim benchmark {name}, or roboxim experiment plan --benchmark {name}"
 
 
 class Models(Named):

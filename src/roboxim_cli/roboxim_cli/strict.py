@@ -89,6 +89,19 @@ class Group(Strict, click.Group):
     command_class = Command
     group_class = type
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Answer an unknown subcommand with the known ones, or with the command of ``roboxim`` that has the name."""
+        name, root = args[0], ctx.find_root().command
+        if not name.startswith("-") and self.get_command(ctx, name) is None:
+            from roboxim_core.errors import one_of
+
+            at_the_top = isinstance(root, click.Group) and root is not self and name in root.list_commands(ctx)
+            hint = f"did you mean 'roboxim {name}'?" if at_the_top else one_of(self.list_commands(ctx), name)
+            ctx.fail(f"no command '{name}' in '{ctx.command_path}'; {hint}")
+        return super().resolve_command(ctx, args)
+
 
 def command(name: str | None = None, *, cls: type[Command] = Command, **attributes: Any) -> Callable[[Any], Command]:
     """Return a decorator that makes a function a command; arguments as of `Command`."""

@@ -172,7 +172,8 @@ def test_a_place_below_which_nothing_can_be_is_an_error_in_one_line(place, tmp_p
     said = capsys.readouterr().err
     assert said.startswith("error: ")
     assert said.count("\n") == 1
-    assert "check the folder" in said
+    assert "check the path" in said
+    assert "free some space" not in said
 
 
 @pytest.mark.parametrize(
@@ -226,6 +227,17 @@ def test_the_seed_of_a_pre_training_is_the_one_that_was_given(given, monkeypatch
     assert (seen[0].seed, seen[0].learning.seed) == (7, 7)
 
 
+@pytest.mark.parametrize("command", [("train", "bc", "data"), ("pretrain", "bc")])
+def test_a_field_of_a_training_has_one_value(command):
+    assert "'steps' is given by --steps and by --set" in mistake(*command, "--steps", "2", "--set", "steps=5")
+    assert "'chunk' was given twice" in mistake(*command, "--set", "chunk=4", "--set", "chunk=8")
+
+
+def test_commands_that_are_named_can_be_pasted_also_where_a_path_has_a_space(run):
+    spaced = run.rename(run.parent / "my run")
+    assert f"roboxim export rlds '{spaced}' --out '{spaced}-rlds'" in mistake("train", "bc", spaced)
+
+
 def test_fields_are_named_without_what_is_none(tmp_path):
     (tmp_path / "list.yaml").write_text("- 1\n")
     said = mistake("train", "bc", tmp_path, "--config", tmp_path / "list.yaml")
@@ -236,6 +248,14 @@ def test_fields_are_named_without_what_is_none(tmp_path):
 def test_the_name_of_a_subcommand_alone_is_found_in_its_group():
     assert "no command 'audit'; did you mean 'roboxim dataset audit'?" in CliRunner().invoke(group, ["audit"]).output
     assert "no command 'generat'; did you mean 'generate'?" in CliRunner().invoke(group, ["generat"]).output
+    assert "did you mean 'roboxim correlate'?" in CliRunner().invoke(group, ["experiment", "correlate"]).output
+    assert "expected one of: act, bc, rt1s" in CliRunner().invoke(group, ["train", "BC"]).output
+
+
+def test_an_experiment_and_a_benchmark_are_not_taken_for_each_other():
+    assert "it is a benchmark: roboxim benchmark transfer" in mistake("experiment", "plan", "transfer")
+    said = CliRunner().invoke(group, ["benchmark", "skill_object", "--out", "out"]).output
+    assert "'skill_object' is an experiment: roboxim experiment run skill_object" in said
 
 
 def test_an_audit_of_a_benchmark_names_faults_and_ends_with_code_1(tmp_path):
@@ -246,8 +266,30 @@ def test_an_audit_of_a_benchmark_names_faults_and_ends_with_code_1(tmp_path):
     assert "fault  says_success: no step states whether the task succeeded" in result.stdout
     assert result.stdout.endswith("CartPole-v1: 13 checks passed, 1 found faults\n")
     assert "no environment 'Nothing-v0'" in mistake("audit-benchmark", "Nothing-v0")
+    assert "did you mean 'roboxim/PickCube-v0'?" in mistake("audit-benchmark", "PickCube-v0")
     assert CliRunner().invoke(group, ["audit-benchmark", "CartPole-v1", "--option", "size"]).exit_code == 2
     assert "--option size line 1: not valid YAML" in mistake("audit-benchmark", "CartPole-v1", "--option", "size=[")
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("balance = lambda: 3", "must return a policy, a function of observation and instruction; got int"),
+        (
+            "def balance(): raise ValueError('no weights')",
+            "does not return a policy: ValueError: no weights (raised at",
+        ),
+        ("def balance(): return lambda seen, words: seen['camera']", "the solver's policy failed: IndexError: "),
+        ("other = 3", "no policy class 'balance' in '"),
+    ],
+)
+def test_an_audit_says_what_is_wrong_with_a_solver(tmp_path, code, words):
+    (tmp_path / "mine.py").write_text(f"{code}\n")
+    given = ["audit-benchmark", "CartPole-v1", "--episodes", "1", "--solver", f"{tmp_path / 'mine.py'}:balance"]
+    result = CliRunner().invoke(group, given)
+    assert words in str(result.exception)
+    assert isinstance(result.exception, ConfigError), "the exit code 1 says that the environment has a fault"
+    assert "must be FILE.py:NAME" in CliRunner().invoke(group, [*given[:-1], "bc"]).output
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from roboxim_core.errors import ConfigError, InvalidRequestError
@@ -61,6 +62,7 @@ def _not_one(path: Path, found: list[tuple[str, Path]], format: str) -> str:
         names = ", ".join(f"{at} ({name})" for name, at in found[:5]) + (", ..." if len(found) > 5 else "")
         return f"{path} holds {len(found)} datasets; name one of {names}"
     if any((path / name).exists() for name in ("episodes", RUN_FILE)) or any(path.glob("**/*.mcap")):
-        return f"{path} holds bags, not a dataset; export them first: roboxim export rlds {path} --out {path}-rlds"
+        bags, dataset = shlex.quote(str(path)), shlex.quote(f"{path}-rlds")
+        return f"{path} holds bags, not a dataset; export them first: roboxim export rlds {bags} --out {dataset}"
     kinds = format or ", ".join(FORMATS)
     return f"{path} holds no dataset (formats: {kinds}); name the folder that 'roboxim export' or another tool wrote"

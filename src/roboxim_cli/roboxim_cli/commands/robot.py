@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -72,7 +73,7 @@ def new(source: Path, name: str, out: Path, **given: Any) -> None:
         recipe = RobotRecipe(name=name or stem, urdf=str(source.resolve()), source=source.name, **given)
     file = derive(recipe, out / "robots", folder=source.resolve().parent, report=click.echo)
     click.echo(f"wrote {file} and {file.with_suffix('')}/")
-    click.echo(f"next: ROBOXIM_CONFIG_PATH={out} roboxim robot check {recipe.name}")
+    click.echo(f"next: ROBOXIM_CONFIG_PATH={shlex.quote(str(out))} roboxim robot check {recipe.name}")
 
 
 @command.command("gripper", begins="making the gripper")

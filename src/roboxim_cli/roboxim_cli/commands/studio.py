@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -87,7 +88,8 @@ def command(
     if kept := studio.drive.kept:
         folder = studio.drive.bags.name
         click.echo(f"\n{kept} episode{'s' * (kept > 1)} kept in {folder}, {studio.drive.solved} solved")
-        click.echo(f"next: roboxim export lerobot {folder} --for act --out {folder}-act")
+        bags, dataset = shlex.quote(str(folder)), shlex.quote(f"{folder}-act")
+        click.echo(f"next: roboxim export lerobot {bags} --for act --out {dataset}")
 
 
 def _policies(names: tuple[str, ...], checkpoints: tuple[str, ...]) -> list[ChosenPolicy]:

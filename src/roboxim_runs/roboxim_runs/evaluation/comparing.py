@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -66,7 +67,7 @@ def compare_evaluations(folders: Sequence[Path], out: Path, *, film: FilmOptions
         )
     report = Report(
         title=f"{listed(records)} side by side", runs=runs, facts=facts, versions={}, place=place, warnings=warnings,
-        command=f"roboxim report {' '.join(map(str, folders))} --out {out}",
+        command=shlex.join(["roboxim", "report", *map(str, folders), "--out", str(out)]),
     )  # fmt: skip
     write_report(report, out)
     return out / REPORT_FILE, "\n".join(filter(None, (*doubts, verdict_line(runs))))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,8 +69,8 @@ def _of_an_experiment(place: Path, number: int | None) -> str:
         return f"{place} is an experiment without evaluations yet; run it first"
     names = ", ".join(folder.name for folder in folders[:8]) + (", ..." if len(folders) > 8 else "")
     return (
-        f"{place} is an experiment with {len(folders)} evaluations ({names}); name one, e.g. roboxim show {folders[0]} "
-        f"{number or 0}"
+        f"{place} is an experiment with {len(folders)} evaluations ({names}); name one, e.g. roboxim show "
+        f"{shlex.quote(str(folders[0]))} {number or 0}"
     )
 
 
@@ -125,7 +126,8 @@ def _bag_of(run: Path, number: int | None) -> Path:
     results = read_results(run)
     if number is None:
         raise ConfigError(
-            f"{run} has {len(results)} episodes; say which one, e.g. roboxim show {run} {_example(results)}"
+            f"{run} has {len(results)} episodes; say which one, e.g. roboxim show "
+            f"{shlex.quote(str(run))} {_example(results)}"
         )
     matching = [result for result in results if result.index == number]
     if not matching:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from pathlib import Path
@@ -258,6 +259,7 @@ def record(topics: tuple[str, ...], out: Path, duration: float | None, run_id: s
     missing = [topic for topic in wanted if not recording.counts.get(topic)]
     click.echo(f"{sum(recording.counts.values())} messages in {out}")
     if not missing:
-        click.echo(f'next: roboxim dataset convert lerobot {out} --instruction "what was done" --out {out}-lerobot')
+        bag, dataset = shlex.quote(str(out)), shlex.quote(f"{out}-lerobot")
+        click.echo(f'next: roboxim dataset convert lerobot {bag} --instruction "what was done" --out {dataset}')
     if missing:
         raise ConfigError(f"no message on {', '.join(missing)}")

@@ -28,8 +28,11 @@ class _Benchmarks(strict.Group):
         if found := super().get_command(ctx, cmd_name):
             return found
         if cmd_name not in self.list_commands(ctx) and not cmd_name.endswith((".yaml", ".yml")):
+            from roboxim_core.config_folders import config_names
             from roboxim_core.errors import one_of
 
+            if cmd_name in config_names("experiments"):
+                ctx.fail(f"'{cmd_name}' is an experiment: roboxim experiment run {cmd_name}")
             ctx.fail(f"no benchmark '{cmd_name}'; {one_of(self.list_commands(ctx), cmd_name)}")
         return _run_command(cmd_name)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -135,5 +136,5 @@ def command(
     click.echo(f"report: {result.report}")
     failed = next((one.index for one in result.results if one.outcome == "failure" and one.bag), None)
     if failed is not None:
-        click.echo(f"why episode {failed} failed: roboxim show {config.out} {failed}")
+        click.echo(f"why episode {failed} failed: roboxim show {shlex.quote(str(config.out))} {failed}")
     result.require_measured()

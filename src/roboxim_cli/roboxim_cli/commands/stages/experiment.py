@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -195,7 +196,8 @@ def run(name: str, out: Path, shard: str, trained: Path | None, **options: Any) 
         result = run_experiment(config, on_event=printer, executor=runs_on, training_executor=trains_on)
     if shard:
         click.echo(f"shard {shard} has its episodes of: {', '.join(result.finished) or 'no stage'}")
-        click.echo(f"next, when all shards are there: roboxim merge {out} ... --out {trained or 'WHOLE'}")
+        shards, whole = shlex.quote(str(out)), shlex.quote(str(trained)) if trained else "WHOLE"
+        click.echo(f"next, when all shards are there: roboxim merge {shards} ... --out {whole}")
         return
     click.echo(f"{len(result.finished)} of {len(result.finished) + len(result.missing)} stages are finished in {out}")
     if result.card is None:
@@ -392,7 +394,7 @@ def unpack_run(file: Path, out: Path) -> None:
     from roboxim_runs.experiments.pack import unpack
 
     found = unpack(file, out)
-    click.echo(f"{found.files} files in {found.path}; see 'roboxim experiment report {found.path}'")
+    click.echo(f"{found.files} files in {found.path}; see: roboxim experiment report {shlex.quote(str(found.path))}")
 
 
 command.add_command(_experiment_calibrate.command)

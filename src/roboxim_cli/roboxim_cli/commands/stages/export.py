@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -135,7 +136,7 @@ def _export(
     if store:
         click.echo(f"{store}: {upload_dataset(out, store, overwrite=overwrite)} files uploaded and compared")
     if name == "rlds":
-        click.echo(f"next: roboxim train bc {out}")
+        click.echo(f"next: roboxim train bc {shlex.quote(str(out))}")
 
 
 def _camera_keys(words: tuple[str, ...]) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import Any
 
 import click
@@ -63,4 +64,5 @@ def command(size: str, executor: str, address: str, resources: str, **options: A
     for line in failures(result.results):
         click.echo(f"  {line}")
     result.require_any()
-    click.echo(f"next: roboxim export rlds {config.store or result.out} --out {result.out}-rlds")
+    source, dataset = (shlex.quote(str(path)) for path in (config.store or result.out, f"{result.out}-rlds"))
+    click.echo(f"next: roboxim export rlds {source} --out {dataset}")
