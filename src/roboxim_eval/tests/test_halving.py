@@ -50,6 +50,7 @@ def test_each_round_has_half_the_policies_and_twice_the_scenes():
 def test_the_first_named_wins_among_equals():
     choice = choose(["b", "a"], lambda names, scenes: {name: [True] * scenes for name in names}, HalvingConfig())
     assert choice.winner == "b"
+    assert "b is chosen, though a succeeded as often; in fresh" in sentences(choice, success_rate(39, 40))[1]
 
 
 @pytest.mark.thorough
