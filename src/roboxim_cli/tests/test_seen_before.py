@@ -139,7 +139,8 @@ def test_the_suite_objects_lacks_the_pairs_that_its_experiments_hold_out_and_tur
     for experiment in ("skill_object", "breadth"):
         held_out = load_yaml(named_config("experiments", experiment))["unseen"]
         assert not {(pair["task"], pair["target"]) for pair in held_out} & set(shown)
-    tools = ModelLibrary().object_sets["tools"]
+    tools = {"magnifying_glass", "paintbrush", "screwdriver", "spatula"}
+    assert tools <= set(ModelLibrary().object_sets["tools"])
     for skill, usual, of_tools in (("pick_up", 4, 4), ("place_on", 5, 5), ("rotate", 6, 12)):
         assert {shown[skill, tool] for tool in tools} == {of_tools}
         assert {n for (s, model), n in shown.items() if s == skill and model not in tools} == {usual}
