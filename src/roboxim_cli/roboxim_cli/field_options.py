@@ -1,10 +1,10 @@
-"""Command-line options built from a configuration's fields: names, types, defaults and docstrings."""
+"""Options of the command line and fields of a configuration: options made from fields, fields given by options."""
 
 from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import click
@@ -30,6 +30,27 @@ def field_options(cls: type[Any], *, leave_out: Collection[str] = ()) -> list[cl
         for field in dataclasses.fields(cls)
         if field.name not in leave_out
     ]
+
+
+def training_fields(changes: Sequence[str], **given: Any) -> dict[str, Any]:
+    """Return the fields of a training's configuration that the command line gives.
+
+    Args:
+        changes: The values of ``--set``.
+        **given: Values of the options that have a field's name; None: not given.
+
+    Raises:
+        ConfigError: When a field is given twice, or a word is no ``FIELD=VALUE``.
+    """
+    from roboxim_bringup.parameters import parse_options
+
+    fields = parse_options(changes)
+    for name, value in given.items():
+        if value is not None and name in fields:
+            raise ConfigError(f"'{name}' is given by --{name} and by --set; leave one of them out")
+        if value is not None:
+            fields[name] = value
+    return fields
 
 
 def _option(name: str, kind: Any, default: Any, doc: str) -> click.Option:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -382,28 +382,6 @@ def experiment_run(make: Callable[..., T], options: dict[str, Any]) -> tuple[T, 
     runs_on = make_executor(executor, address, resources, config.workers)
     trains_on = make_executor(executor, address, training_resources, config.trainings, option="--training-resources")
     return config, runs_on, trains_on
-
-
-def training_fields(changes: Sequence[str], **given: Any) -> dict[str, Any]:
-    """Return the fields of a training's configuration that the command line gives.
-
-    Args:
-        changes: The values of ``--set``.
-        **given: Values of the options that have a field's name; None: not given.
-
-    Raises:
-        ConfigError: When a field is given twice, or a word is no ``FIELD=VALUE``.
-    """
-    from roboxim_bringup.parameters import parse_options
-    from roboxim_core.errors import ConfigError
-
-    fields = parse_options(changes)
-    for name, value in given.items():
-        if value is not None and name in fields:
-            raise ConfigError(f"'{name}' is given by --{name} and by --set; leave one of them out")
-        if value is not None:
-            fields[name] = value
-    return fields
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -176,6 +176,9 @@ def test_a_number_that_is_not_finite_is_named_before_the_training(monkeypatch):
     assert np.array_equal(together, expected)
     assert all(np.shares_memory(each.images["workspace"], together) for each in found.episodes)
     assert isinstance(together, np.memmap), "demonstrations take disk space, not memory"
+    shown[1] = replace(shown[1], images={"workspace": []}, proprio=[], actions=[])
+    with pytest.raises(ConfigError, match="set: episode 1 of split 'train' has no steps; export"):
+        reading_of.read_demonstrations(Path("set"), image_sizes={"workspace": 16}, limit=2)
 
 
 def test_demonstrations_say_from_where_their_cameras_looked():

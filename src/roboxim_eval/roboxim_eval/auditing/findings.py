@@ -145,7 +145,7 @@ def _clips(p: Probes) -> Statements:
     if p.beyond.refused or p.beyond.steps and p.beyond.observations == p.clipped.observations:
         return
     if not p.beyond.steps:
-        yield "? actions have no bounds, or their type has no numbers beyond them"
+        yield "? actions have no bounds, or their type cannot hold numbers beyond them"
     elif p.beyond.steps != p.clipped.steps:
         yield f"the episode has {p.beyond.steps} steps with actions at twice their bounds, {p.clipped.steps} at them"
     elif not p.beyond.final:

@@ -307,7 +307,7 @@ def read_demonstrations(
 
     Raises:
         ConfigError: When there is no dataset, a camera or a component of the state is not in it, episodes differ in
-            their action semantics, or a number is not finite.
+            their action semantics, one has no steps, or a number is not finite.
         InvalidRequestError: When there is no such split.
         OSError: When the disk is full.
         RecorderError: When the dataset is damaged.
@@ -333,8 +333,7 @@ def read_demonstrations(
         robots.add(episode.robot)
         for camera, seen in views.items():
             seen.add(_view(episode, camera))
-        read = _demonstration(episode, sizes)
-        _require_finite(read, f"{path}: episode {index} of split 'train'")
+        read = _demonstration(episode, sizes, f"{path}: episode {index} of split 'train'")
         for camera, file in files.items():
             file.append(read.images[camera])
         episodes.append(replace(read, images={}))
@@ -400,8 +399,12 @@ def _require_finite(demonstration: Demonstration, where: str) -> None:
             )
 
 
-def _demonstration(episode: Episode, sizes: Mapping[str, int]) -> Demonstration:
-    """Read an episode, each image at the network's size."""
+def _demonstration(episode: Episode, sizes: Mapping[str, int], where: str) -> Demonstration:
+    """Read an episode, each image at the network's size.
+
+    Raises:
+        ConfigError: When it has no steps, or a number is not finite.
+    """
     state = episode.picker(STATE_NAMES)
     images: dict[str, list[Images]] = {camera: [] for camera in sizes}
     proprio, actions = [], []
@@ -410,9 +413,13 @@ def _demonstration(episode: Episode, sizes: Mapping[str, int]) -> Demonstration:
             images[camera].append(resized(step.images[camera], side, side))
         proprio.append(state(step))
         actions.append(step.action)
-    return Demonstration(
+    if not actions:
+        raise ConfigError(f"{where} has no steps; export the dataset without it")
+    read = Demonstration(
         images={camera: np.stack(frames) for camera, frames in images.items()},
         proprio=np.stack(proprio),
         actions=np.stack(actions),
         instruction=episode.instruction,
     )
+    _require_finite(read, where)
+    return read

@@ -47,7 +47,8 @@ def command(
     import shlex
 
     from roboxim_bringup.process import keep_freed_memory
-    from roboxim_cli.options import parse_size, training_fields
+    from roboxim_cli.field_options import training_fields
+    from roboxim_cli.options import parse_size
     from roboxim_cli.printer import EventPrinter
     from roboxim_runs.training.pretraining import PretrainConfig, pretrain
     from roboxim_runs.training.run import read_config

@@ -107,7 +107,7 @@ def _train(
     import shlex
 
     from roboxim_bringup.process import keep_freed_memory
-    from roboxim_cli.options import training_fields
+    from roboxim_cli.field_options import training_fields
     from roboxim_cli.printer import EventPrinter
     from roboxim_runs.training.run import read_config, train_policy
 
