@@ -264,7 +264,7 @@ def test_an_audit_of_a_benchmark_names_faults_and_ends_with_code_1(tmp_path):
     result = CliRunner().invoke(group, words)
     assert result.exit_code == 1
     assert "fault  says_success: no step states whether the task succeeded" in result.stdout
-    assert result.stdout.endswith("CartPole-v1: 13 checks passed, 1 found faults\n")
+    assert result.stdout.endswith("CartPole-v1: 14 checks passed, 1 found faults\n")
     assert "no environment 'Nothing-v0'" in mistake("audit-benchmark", "Nothing-v0")
     assert "did you mean 'roboxim/PickCube-v0'?" in mistake("audit-benchmark", "PickCube-v0")
     assert CliRunner().invoke(group, ["audit-benchmark", "CartPole-v1", "--option", "size"]).exit_code == 2

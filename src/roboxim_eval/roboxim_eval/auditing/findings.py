@@ -243,6 +243,11 @@ def _ends(p: Probes) -> Statements:
         yield f"{open_ones} of {len(_whole(p))} episodes are not over after {p.limit} steps"
 
 
+def _closes(p: Probes) -> Statements:
+    for error in p.unclosed:
+        yield f"close() failed after the last episode: {error}"
+
+
 def _limit(p: Probes) -> Statements:
     """A time limit is a truncation: learners take a termination for a state without future reward."""
     failed = [t for t in _whole(p) if t.ended and t.success is False]
@@ -321,6 +326,7 @@ CHECKS: dict[str, Callable[[Probes], Statements]] = {
     "keeps_success": _keeps_success,
     "ends": _ends,
     "time_limit": _limit,
+    "closes": _closes,
     "instructions": _words,
     "words_needed": _words_needed,
     "replay": _replay,

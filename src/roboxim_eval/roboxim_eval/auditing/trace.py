@@ -124,6 +124,8 @@ class Probes:
     """Whole episodes of random actions."""
     limit: int
     """Number of steps after which the auditor ended an episode."""
+    unclosed: Sequence[str] = ()
+    """Errors of the environments' ``close`` after all probes."""
     solved: Sequence[Trace] = ()
     """Whole episodes of a solver; empty: none was given."""
     wordless: Sequence[Trace] = ()

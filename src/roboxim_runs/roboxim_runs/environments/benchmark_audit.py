@@ -9,8 +9,8 @@ import copy
 import importlib
 import random
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gymnasium
@@ -103,12 +103,16 @@ def audit_benchmark(
         first, second = make(), make()
     except Exception as error:
         raise ConfigError(f"the environment cannot be made: {type(error).__name__}: {error}") from error
+    unclosed: list[str] = []
     try:
-        return audit_findings(_Prober(first, config).probes(second, _blamed(solver) if solver else None))
+        probes = _Prober(first, config).probes(second, _blamed(solver) if solver else None)
     finally:
         for env in (first, second):
-            with suppress(Exception):  # what was found counts, however the environment ends
+            try:
                 env.close()
+            except Exception as error:  # the probes count, however the environment ends
+                unclosed.append(f"{type(error).__name__}: {error}")
+    return audit_findings(replace(probes, unclosed=unclosed))
 
 
 def _blamed(solver: Callable[[], Actor]) -> Callable[[], Actor]:

@@ -289,7 +289,8 @@ def test_an_environment_that_fails_to_close_keeps_its_audit():
         def close(self):
             raise RuntimeError("no display")
 
-    assert audit_benchmark(Unclosed, CONFIG).findings == ()
+    found = [(one.check, one.sentence) for one in audit_benchmark(Unclosed, CONFIG).findings]
+    assert found == [("closes", "close() failed after the last episode: RuntimeError: no display")]
 
 
 def test_an_environments_own_option_may_be_called_name():
