@@ -24,6 +24,7 @@ from roboxim_recorder.bag_writer import find_episode
 from roboxim_runs.answers.trying import TryBench
 from roboxim_runs.episodes.task_choice import cells_of
 from roboxim_runs.scenes.definitions import definitions_of, task_files
+from roboxim_runs.storage.occupied import require_own
 
 if TYPE_CHECKING:
     from roboxim_tasks.task_config import TaskConfig
@@ -222,7 +223,7 @@ def mine(
         on_rollout: Called with the number of each rollout and whether it failed; None: no scene, or unsolvable.
 
     Raises:
-        ConfigError: When the task has no factors, or the folder is of another search.
+        ConfigError: When the task has no factors, or the folder holds something else than this search.
         PolicyError: When the policy raises.
         RoboximError: On a fault of the simulator.
     """
@@ -247,6 +248,7 @@ class _Log:
             "definitions": definitions_of(cells_of(task), task_files(task)),
         } | ({"placed": role} if (role := role_at_point(task)) else {})  # fmt: skip
         self._key = digest(search)
+        require_own(folder, "mine")
         folder.mkdir(parents=True, exist_ok=True)
         self._log = ResultsLog(folder / ROLLOUTS)
         self._known: dict[str, str] = {}

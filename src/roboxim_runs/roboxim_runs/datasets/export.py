@@ -21,7 +21,8 @@ from roboxim_recorder.export.lerobot import LeRobotConfig
 from roboxim_recorder.export.rlds import ExportConfig
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
-from roboxim_runs.storage.folder import RunFolder, command_of, path_as_given, wanted_indices
+from roboxim_runs.storage.folder import RunFolder, path_as_given, wanted_indices
+from roboxim_runs.storage.occupied import command_of
 
 REPLAY_FILE = "replay.json"
 """File beside a dataset that has passed or not passed the gate, with every episode and tick."""

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
 from roboxim_datasets.episode import BETWEEN_ROBOTS
 from roboxim_runs.episodes.run import EpisodesJob, not_played
-from roboxim_runs.evaluation.report import RECORD_FILE
 from roboxim_runs.evaluation.results import PolicyResult
 from roboxim_runs.executors import Executor, LocalExecutor
 from roboxim_runs.policies.specs import ChosenPolicy
@@ -83,17 +82,6 @@ def require_played(policies: Iterable[PolicyResult]) -> None:
             raise EvaluationError(
                 f"policy '{policy.name}' has no rate, since {lost}; a policy that ends its own process must be mended"
             )
-
-
-def require_evaluation(out: Path, policies: Iterable[str]) -> None:
-    """Refuse a folder that holds files and no evaluation: pages and folders of policies would lie between them.
-
-    Raises:
-        ConfigError: When it is one.
-    """
-    own = (RECORD_FILE, *policies)
-    if out.is_dir() and not any((out / name).exists() for name in own) and any(out.glob("[!.]*")):
-        raise ConfigError(f"{out} has files and no evaluation; choose a new or empty output folder (--out or out=)")
 
 
 def require_same_policy(name: str, job: EpisodesJob, folder: Path, *, repair: bool) -> None:

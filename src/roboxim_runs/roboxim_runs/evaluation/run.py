@@ -26,13 +26,12 @@ from roboxim_runs.episodes.task_choice import cells_of
 from roboxim_runs.episodes_config import EpisodesConfig
 from roboxim_runs.evaluation.checks import (
     require_cameras,
-    require_evaluation,
     require_local,
     require_played,
     require_robots,
     require_same_policy,
 )
-from roboxim_runs.evaluation.report import EvaluationRecord, policy_facts, write_evaluation
+from roboxim_runs.evaluation.report import RECORD_FILE, EvaluationRecord, policy_facts, write_evaluation
 from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
 from roboxim_runs.evaluation.views import view_warnings
 from roboxim_runs.events import Notice, OnEvent, PolicyMeasured, PolicyResumed, ignore
@@ -42,6 +41,7 @@ from roboxim_runs.policies.here import OwnServer
 from roboxim_runs.policies.specs import ChosenPolicy, PolicySpec, find_policies
 from roboxim_runs.policies.waiting import SERVER_WAIT_S
 from roboxim_runs.storage.folder import RunFolder
+from roboxim_runs.storage.occupied import require_own
 
 if TYPE_CHECKING:
     from roboxim_runs.policies.servers import PolicyServers
@@ -162,7 +162,7 @@ def evaluate(
         policy.name: replace(_job(config, policy, text, _server(config, policy, on_event)), definitions=definitions)
         for policy in chosen
     }
-    require_evaluation(out, jobs)
+    require_own(out, "evaluate", own=(RECORD_FILE, *jobs), empty=True)  # pages would lie between other files
     for policy in chosen:
         require_same_policy(policy.name, jobs[policy.name], out / policy.name, repair=config.repair)
         jobs[policy.name].upload.require_own(jobs[policy.name].identity, repair=config.repair)

@@ -23,6 +23,7 @@ from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
 from roboxim_runs.events import Notice, OnEvent, ignore
 from roboxim_runs.executors import Cancellation, Executor
 from roboxim_runs.policies.specs import CHECKPOINT, PolicySpec
+from roboxim_runs.storage.occupied import require_own
 
 if TYPE_CHECKING:
     from roboxim_eval.answers.halving import Choice, HalvingConfig
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 RESULT = "sweep.json"
 """File with the rounds, the winner and its rate."""
+CHOOSING = "choosing"
+"""Folder in a sweep's of the evaluation that chooses."""
 SEED_STEP = 1_000_003
 """What is added to the seed for fresh scenes."""
 
@@ -99,7 +102,8 @@ def sweep(
 
     Raises:
         CancelledError: When the call was cancelled.
-        ConfigError: When there are not two policies of different names, or only a shard is to be run.
+        ConfigError: When there are not two policies of different names, only a shard is to be run, or ``out`` is no
+            sweep's folder.
         RoboximError: As of `evaluate`.
     """
     from roboxim_eval.answers.halving import choose
@@ -110,6 +114,7 @@ def sweep(
     if len(by_name) < len(policies):
         raise ConfigError("two policies of a sweep have one name; name them apart")
     out = Path(config.out)
+    require_own(out, "sweep", own=(RESULT, CHOOSING))
 
     def played(names: Sequence[str], scenes: int, part: str, **different: Any) -> EvaluationResult:
         wanted = replace(
@@ -121,7 +126,7 @@ def sweep(
 
     def play(names: Sequence[str], scenes: int) -> Mapping[str, Sequence[bool]]:
         on_event(Notice(text=f"{len(names)} policies, {scenes} scenes"))
-        found = played(names, scenes, "choosing", purpose="train")
+        found = played(names, scenes, CHOOSING, purpose="train")
         return {name: [r.outcome == "success" for r in found[name].results] for name in names}
 
     choice = choose(list(by_name), play, halving)

@@ -39,6 +39,7 @@ from roboxim_runs.experiments.run_config import ExperimentRunConfig, SharedRunCo
 from roboxim_runs.experiments.scenes.fresh import in_scenes_of, store_seed, stored_seed
 from roboxim_runs.policies.specs import PolicySpec
 from roboxim_runs.storage.folder import checked_path, make_folder
+from roboxim_runs.storage.occupied import require_own
 
 STATE_FILE = "benchmark.json"
 
@@ -113,6 +114,7 @@ def run_benchmark(
     experiments = benchmark_experiments(benchmark, config.scale, config.trainer)  # a refused call leaves no state
     seed = _seed_of(benchmark, config)
     cards = _cards_from_elsewhere(benchmark, experiments, config, seed)
+    require_own(out, "benchmark", after=("experiment attest",))
     make_folder(out)
     state = {"benchmark": config.benchmark, "scale": config.scale, "trainer": config.trainer}
     _require_same(out / STATE_FILE, state)

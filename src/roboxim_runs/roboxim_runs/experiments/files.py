@@ -29,6 +29,7 @@ from roboxim_eval.experiments.rotation import rotated
 from roboxim_eval.experiments.trainers import TRAINERS, TrainerConfig, trainer_config
 from roboxim_runs.experiments.delivery.demands import demands_in
 from roboxim_runs.experiments.trained.exports import require_readable
+from roboxim_runs.storage.occupied import require_own
 from roboxim_tasks.config import TaskMix, task_mix
 
 
@@ -142,11 +143,15 @@ def write_experiment(config: ExperimentConfig, path: Path) -> None:
     Raises:
         ConfigError: When the file exists.
     """
-    if path.exists():
-        raise ConfigError(f"{path} exists; choose another file")
+    _require_free(path)
     content = json.loads(json.dumps({**to_plain(config), "scales": {}}))
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def _require_free(path: Path) -> None:
+    if path.exists():
+        raise ConfigError(f"{path} exists; choose another file")
 
 
 def run_words(file: Path, config: ExperimentConfig, trainer: str, command: str = "experiment run") -> str:
@@ -181,19 +186,23 @@ def write_rotated(
         A file for each part, and last the benchmark of all of them.
 
     Raises:
-        ConfigError: When no such sets exist, or a file exists.
+        ConfigError: When no such sets exist, a file exists, or the folder is none of configuration.
     """
     config, stem = load_experiment(name, scale, trainer=trainer), f"{Path(name).stem}_rotated"
     parts = {
         f"{stem}_{number}": fitted_experiment(name, scale, part, trainer, ", rotated")
         for number, part in enumerate(rotated(config, sets, held_out, replicates))
     }
+    require_own(folder, "experiment rotate")
     paths = [folder / "experiments" / f"{part}.yaml" for part in parts]
-    for key, path in zip(parts, paths, strict=True):
-        checked_design(key, parts[key], trainer)
+    paths.append(folder / "benchmark" / f"{stem}.yaml")
+    for path in paths:
+        _require_free(path)
+    for key, part in parts.items():
+        checked_design(key, part, trainer)
+    for key, path in zip(parts, paths, strict=False):  # the last is the benchmark's
         write_experiment(parts[key], path)
     benchmark = {"about": f"{config.about} Held-out sets rotate.", "experiments": list(parts)}
-    paths.append(folder / "benchmark" / f"{stem}.yaml")
     paths[-1].parent.mkdir(parents=True, exist_ok=True)
     paths[-1].write_text(yaml.safe_dump(benchmark, sort_keys=False))
     return paths

@@ -69,6 +69,7 @@ from roboxim_runs.experiments.trained.policies import (
 from roboxim_runs.experiments.trained.servers import require_reachable
 from roboxim_runs.experiments.trained.starts import require_start, start_digests
 from roboxim_runs.storage.folder import checked_path, locked, make_folder
+from roboxim_runs.storage.occupied import require_own
 from roboxim_runs.training.commands import Trained, train, train_on
 
 CHANGED = "changed_after_results"
@@ -116,10 +117,12 @@ def run_experiment(
 
     Raises:
         CancelledError: When the run was cancelled; the same call continues.
-        ConfigError: When the experiment is invalid, a policy is unknown, or inputs of a finished stage have changed.
+        ConfigError: When the experiment is invalid, a policy is unknown, inputs of a finished stage have changed, or
+            the folder holds something else.
         RoboximError: When a stage fails, or a proof does.
     """
     experiment = load_experiment(config.experiment, config.scale, changes=config.changes, trainer=config.trainer)
+    require_own(checked_path(config.out), "experiment run", after=("experiment attest",))
     scenes = scenes_of(
         checked_path(config.out), trained=checked_path(config.trained) if config.trained else None, fresh=config.fresh,
         scene_seed=config.scene_seed, shared=scenes,

@@ -26,6 +26,7 @@ from roboxim_core.shards import Shard
 from roboxim_core.user_folders import expanded
 from roboxim_core.whole_files import write_whole
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
+from roboxim_runs.storage.occupied import command_of, require_own
 from roboxim_runs.storage.store import repair_stored, stored_bags
 
 if TYPE_CHECKING:
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
 MAY_DIFFER = ("episodes", "workers", "shard", "store", "server_probe")
 """Keys of a run's configuration that may change when it continues, e.g. on another machine or with more episodes. The
 probe of a remote policy is compared by `roboxim_runs.policies.server_records`."""
-COMMANDS = {"demo": "generate", "eval": "evaluate", "train": "evaluate"}
-"""Purpose of a run's episodes, mapped to the command that runs them."""
 LONGEST_NAME, LONGEST_PATH = 200, 3500
 """Largest number of bytes of a folder's name and of its whole path. Below a file system's own limits, since bags lie
 deeper."""
@@ -72,11 +71,7 @@ class RunFolder:
         """
         stored_at = self.path / RUN_FILE
         make_folder(self.path)
-        if not stored_at.exists() and any(not p.name.startswith(".") for p in self.path.iterdir()):
-            raise ConfigError(
-                f"{self.path} exists and is not a run's folder; empty it or choose another output "
-                "folder (--out or out=)"
-            )
+        require_own(self.path, command_of(config), own=(RUN_FILE,), empty=True)
         with locked(self.path):
             self._key, about = run_key(config), self.path.stat()
             self._locked = about.st_dev, about.st_ino
@@ -366,8 +361,3 @@ def make_folder(path: Path) -> None:
         raise RoboximError(
             f"cannot create the folder {path}: {reason}; choose another output folder (--out or out=)", ErrorCode.DISK
         ) from None
-
-
-def command_of(config: Mapping[str, Any]) -> str:
-    """Return the command that wrote a run's configuration."""
-    return "rerender" if "rerender" in config else COMMANDS.get(str(config.get("purpose")), "generate")

@@ -21,7 +21,8 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.results_log import RESULTS_FILE, RUN_FILE
 from roboxim_runs.pace import Pace
 from roboxim_runs.storage.event_log import ENDED, EVENTS_FILE, STARTED
-from roboxim_runs.storage.folder import RunFolder, command_of, folders_with, wanted_indices
+from roboxim_runs.storage.folder import RunFolder, folders_with, wanted_indices
+from roboxim_runs.storage.occupied import command_of
 
 DEEPEST = 4
 """Levels below a folder at which runs are looked for."""

@@ -26,6 +26,7 @@ from roboxim_runs.episodes.generation import GenerationConfig, generate
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation, Executor
 from roboxim_runs.storage.folder import RunFolder, checked_path
+from roboxim_runs.storage.occupied import require_own
 from roboxim_runs.training.run import TRAINED_ON, TrainingResult, train_policy
 
 Handled = TypeVar("Handled")
@@ -101,7 +102,7 @@ def pretrain(
 
     Raises:
         CancelledError: When the call was cancelled.
-        ConfigError: When the configuration is wrong, or the folder holds another pre-training.
+        ConfigError: When the configuration is wrong, or the folder holds something else.
         RoboximError: When a stage fails.
     """
     from roboxim_policies.learning.checkpoint import policy_only  # importing JAX takes a second
@@ -111,6 +112,7 @@ def pretrain(
         out=out / "demos", suite=config.suite, episodes=config.episodes, seed=config.seed, workers=config.workers,
         size=config.size, renderer=config.renderer, noise_mm=6.0, noise_mrad=20.0, first_try=True,
     )  # fmt: skip
+    require_own(out, "pretrain", own=("demos",))
     _require_same_number(out, len(demonstrations.job().indices))
     made = generate(demonstrations, on_event=on_event, cancellation=cancellation, executor=executor)
     made.require_any()

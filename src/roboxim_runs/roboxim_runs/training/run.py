@@ -31,6 +31,7 @@ from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
 from roboxim_runs.policies.specs import CHECKPOINT, PolicySpec
 from roboxim_runs.storage.folder import checked_path, locked, make_folder
+from roboxim_runs.storage.occupied import require_own
 
 FIRST_BATCH = "first_batch.png"
 """File in a training's folder that shows its first samples."""
@@ -94,8 +95,8 @@ def train_policy(
 
     Raises:
         CancelledError: When the training was cancelled.
-        ConfigError: When the folder is not a dataset, ``out`` holds another training, or ``start`` is a checkpoint of
-            another family or shape.
+        ConfigError: When the folder is not a dataset, ``out`` holds something else than this training, or ``start`` is
+            a checkpoint of another family or shape.
         UnavailableError: When the family needs ``roboxim[pretrained]``, which is not installed.
     """
     settings = config or (read_config("", None, start=Path(start)) if start else BCConfig())
@@ -104,6 +105,7 @@ def train_policy(
     dataset = expanded(dataset)
     if folder.is_file():
         make_folder(folder)  # says so
+    require_own(folder, "train")
     from roboxim_policies.learning.checkpoint import load_checkpoint  # importing JAX takes a second
     from roboxim_policies.learning.data import read_demonstrations
     from roboxim_policies.learning.train import Trainer, TrainProgress

@@ -198,7 +198,7 @@ def test_most_episodes_in_errors_are_no_figure(folder, monkeypatch):
         (["--policy", "f" * 300 + ".py:Mine"], "'ffff.*' is not a path"),
         (["--policy", "bc", "--checkpoint", "c" * 300], "the checkpoint 'cccc.*' is not a path"),
         (["--policy", "zero", "--out", "o" * 300], "'oooo.*is not a valid folder"),
-        (["--policy", "zero", "--out", "bc"], "bc has files and no evaluation; choose a new or empty"),
+        (["--policy", "zero", "--out", "bc"], "bc is the folder of 'roboxim train', not of .*evaluate'; choose a new"),
         (["--policy", "zero", "--renderer", "foo"], "unknown renderer 'foo'; expected one of: photo, raster, tiny"),
         (
             ["--policy", "bc", "--checkpoint", "bc", "--task", "pick_cube_ur5"],

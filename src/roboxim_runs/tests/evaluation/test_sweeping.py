@@ -57,6 +57,18 @@ def test_the_better_half_plays_on_in_scenes_of_no_evaluation_and_the_winner_in_f
     assert told["rounds"][0]["successes"] == {"good": 9, "fair": 6, "poor": 2, "bad": 0}
 
 
+def test_a_folder_of_something_else_is_refused_and_one_of_a_stopped_sweep_continues(calls, tmp_path):
+    for name in ("lerobot/meta/info.json", "other/evaluation.json", "stopped/choosing/evaluation.json"):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).touch()
+    with pytest.raises(ConfigError, match=r"lerobot is a dataset .* choose a new or empty output folder .*-sweep$"):
+        swept(tmp_path / "lerobot")
+    with pytest.raises(ConfigError, match="other is the folder of 'roboxim evaluate'"):
+        swept(tmp_path / "other")
+    assert calls == []
+    assert swept(tmp_path / "stopped").winner.name == "good"
+
+
 def test_a_shard_and_equal_names_are_refused(calls, tmp_path):
     with pytest.raises(ConfigError, match="a shard has a part of the scenes"):
         swept(tmp_path, shard="0/2")

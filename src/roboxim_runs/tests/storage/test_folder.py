@@ -94,7 +94,8 @@ def test_the_summary_of_generate(tmp_path):
 
 def test_a_foreign_folder_is_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("precious")
-    with pytest.raises(ConfigError, match="not a run's folder"), RunFolder(tmp_path).opened({"seed": 0}):
+    said = "has files and is not the folder of 'roboxim generate'"
+    with pytest.raises(ConfigError, match=said), RunFolder(tmp_path).opened({"seed": 0}):
         pass
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 

@@ -23,14 +23,16 @@ from roboxim_runs.experiments.scenes.fresh import (
     require_no_other_seed,
     stored_seed,
 )
+from roboxim_runs.storage.occupied import require_own
 
 
 def attested_seed(out: Path) -> SceneSeed:
     """Return the seed of a run's fresh scenes, to commit to it before the trainings.
 
     Raises:
-        ConfigError: When a training of the folder ended without it.
+        ConfigError: When a training of the folder ended without it, or the folder holds something else.
     """
+    require_own(out, "experiment attest", after=("experiment run", "benchmark"))
     if early := list(_uncommitted(out, stored_seed(out))):
         raise ConfigError(
             f"{out}: {len(early)} trainings ended before a seed was committed to ({early[0]}), so that a commitment "
