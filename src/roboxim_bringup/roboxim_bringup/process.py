@@ -11,24 +11,13 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import IO, Any
 
-from roboxim_ros.environment import clean_environment
+from roboxim_ros.environment import clean_environment as clean_environment
 
 _PR_SET_PDEATHSIG = 1
 _MALLOPT = {"M_ARENA_MAX": (-8, 1), "M_MMAP_MAX": (-4, 0), "M_TRIM_THRESHOLD": (-1, 2**31 - 1)}
 """Options of glibc's ``malloc.h`` with their numbers and the values that make `keep_freed_memory`."""
 THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 """Environment variables with the number of threads of NumPy and OpenCV; a worker gets 1 unless they are set."""
-
-
-__all__ = [
-    "clean_environment",
-    "describe_exit",
-    "die_with_parent",
-    "keep_freed_memory",
-    "spawn",
-    "stop",
-    "report_ready",
-]
 
 
 def die_with_parent(parent: int) -> None:

@@ -25,7 +25,7 @@ from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn, overrid
 
 from roboxim_core import limits
 from roboxim_core.config_folders import config_dir, config_dirs, named_config
-from roboxim_core.errors import ConfigError, RoboximError, one_of
+from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.documents import LocatedList, LocatedMap, line_of, parse_json, parse_yaml, read_text
 from roboxim_core.poses import Pose
 from roboxim_core.rotation.quaternions import quat_from_euler
@@ -356,9 +356,7 @@ def digest(value: Any) -> str:
 
 
 __all__ = [
-    "LocatedList",
     "LocatedMap",
-    "RoboximError",
     "complaint_at",
     "config_dir",
     "config_dirs",

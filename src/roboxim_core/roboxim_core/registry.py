@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import pkgutil
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from hashlib import sha256
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -132,6 +133,17 @@ class Registry(Generic[T]):
                 entry.load()
             except (Exception, SystemExit) as error:  # one broken plug-in must not prevent loading the others
                 self._broken[entry.name] = f"{entry.value} raised {type(error).__name__}: {error}"
+
+
+def import_modules(package: str, path: Iterable[str]) -> None:
+    """Import every module of a package, which registers what it holds.
+
+    Args:
+        package: The package's ``__name__``.
+        path: The package's ``__path__``.
+    """
+    for module in pkgutil.iter_modules(path):
+        importlib.import_module(f"{package}.{module.name}")
 
 
 def check_plugin(registry: Registry[T], name: str) -> None:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from roboxim_core.errors import ErrorCode, PlannerError
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Pose
-from roboxim_planner import native
+from roboxim_planner.native import native
 from roboxim_planner.robot import PlannerRobot, pose_matrix
 
 Array = npt.NDArray[np.float64]

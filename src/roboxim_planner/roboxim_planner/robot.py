@@ -20,9 +20,9 @@ from roboxim_core.errors import ConfigError, InvalidRequestError, one_of
 from roboxim_core.kinematics.arm import ArmKinematics
 from roboxim_core.models.description import RobotModel
 from roboxim_core.poses import Pose
-from roboxim_planner import native
 from roboxim_planner.collisions.covers import cover_box, cover_hull, cover_round
 from roboxim_planner.collisions.geometry import convex_hull, mesh_points
+from roboxim_planner.native import native
 
 Array = npt.NDArray[np.float64]
 _INSIDE_RAD = 4e-3

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import PPoly
 
-from roboxim_planner import native
+from roboxim_planner.native import native
 from roboxim_planner.pipeline import Planner
 
 

@@ -408,5 +408,3 @@ def behind(wire: type[Wire], servers: str) -> Callable[..., RemotePolicy]:
 
 for _name, _servers in SERVED_BY.items():
     POLICIES.register(_name)(behind(find_wire(_name), _servers))
-
-__all__ = ["Probe", "RemotePolicy", "changed_facts", "declared_convention", "probe_from_plain", "probe_window"]

@@ -38,6 +38,3 @@ class OwnFiles:
         """
         self.require(file)
         write_whole(file, text)
-
-
-__all__ = ["OwnFiles"]

@@ -17,13 +17,12 @@ from roboxim_core.actions.semantics import (
     ReferenceFrame,
 )
 from roboxim_core.actions.transforms import ActionContext, ActionTransform, Kinematics
-from roboxim_core.rates import ANY_RATE, DEFAULT_RATE_HZ
+from roboxim_core.rates import ANY_RATE
 from roboxim_core.rotation.representations import RotationRepresentation
 
 __all__ = [
     "ACTION_SIZE",
     "ANY_RATE",
-    "DEFAULT_RATE_HZ",
     "ActionArray",
     "ActionContext",
     "ActionPlan",

@@ -7,8 +7,6 @@ numbers: no wire, no ROS. `roboxim_core.conventions.convention` explains the con
 from roboxim_core.conventions.convention import (
     Chunking,
     Convention,
-    PromptInput,
-    Request,
     decode_actions,
     from_actions,
     joined_answer,
@@ -16,12 +14,9 @@ from roboxim_core.conventions.convention import (
     observe,
     to_actions,
 )
-from roboxim_core.conventions.frames import Frames
 from roboxim_core.conventions.gripper import GripperOutput
 from roboxim_core.conventions.images import ImageInput, Layout, Resize
-from roboxim_core.conventions.normalisation import Normalisation, NormalisationKind
 from roboxim_core.conventions.outputs import ActionOutput
-from roboxim_core.conventions.proof import Proof
 from roboxim_core.conventions.response import ControllerResponse
 from roboxim_core.conventions.states import ArmReadings, StateField, StateInput, StatePart
 
@@ -31,15 +26,9 @@ __all__ = [
     "Chunking",
     "ControllerResponse",
     "Convention",
-    "Frames",
     "GripperOutput",
     "ImageInput",
     "Layout",
-    "Normalisation",
-    "NormalisationKind",
-    "PromptInput",
-    "Proof",
-    "Request",
     "Resize",
     "StateField",
     "StateInput",

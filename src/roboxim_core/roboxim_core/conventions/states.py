@@ -269,6 +269,3 @@ def _with(known: ArmReadings, part: StatePart, block: Floats, frames: Frames) ->
             return replace(known, joint_velocities=block / part.scale)
         case StateField.CONSTANT:
             return known
-
-
-__all__ = ["ArmReadings", "StateField", "StateInput", "StatePart"]

@@ -8,23 +8,20 @@ A tick has five steps: observe, act, tick the sim, judge, and wait until the rec
 fails the episode with a reason; a fault of the simulator or the recorder is raised and halts the run.
 """
 
-from roboxim_core.episode.ports import ActorPort, JudgePort, Ports, RecorderPort, ScenePort, SimPort
-from roboxim_core.episode.records import KEEP_RULES, Draw, EpisodeInfo, EpisodeResult, EpisodeStep, RunConfig
+from roboxim_core.episode.ports import ActorPort, Ports, RecorderPort, SimPort
+from roboxim_core.episode.records import Draw, EpisodeInfo, EpisodeResult, EpisodeStep, RunConfig
 from roboxim_core.episode.runner import EpisodeRunner, configure_scene, episode_id, executed_semantics
 
 __all__ = [
-    "KEEP_RULES",
     "ActorPort",
     "Draw",
     "EpisodeInfo",
     "EpisodeResult",
     "EpisodeRunner",
     "EpisodeStep",
-    "JudgePort",
     "Ports",
     "RecorderPort",
     "RunConfig",
-    "ScenePort",
     "SimPort",
     "configure_scene",
     "episode_id",

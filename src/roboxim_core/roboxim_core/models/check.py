@@ -402,6 +402,3 @@ def _planes(shape: Shape) -> tuple[Array, float]:
     except QhullError:
         raise ConfigError(f"a collision shape of kind {shape.kind} has no volume") from None
     return np.asarray(hull.equations), float(hull.volume)
-
-
-__all__ = ["Finding", "check_mesh", "check_object"]

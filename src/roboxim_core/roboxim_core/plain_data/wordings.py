@@ -206,6 +206,3 @@ def _mapping(file: File) -> Mapping[Any, Any]:
     if not isinstance(content, Mapping):
         raise ConfigError(f"{file[0]} is not valid: expected a mapping of keys, got {type(content).__name__}")
     return content
-
-
-__all__ = ["english_wordings", "names_in", "require_set", "reworded", "set_names", "wordings_of"]

@@ -120,6 +120,3 @@ def _causes(group: Sequence[Tally], as_it_was: Tally) -> tuple[Tally, ...]:
     adjusted = holm([p_of_change(one, as_it_was) for one in group]) if group else []
     found = [(p, one) for p, one in zip(adjusted, group, strict=True) if p <= ALPHA]
     return tuple(one for _, one in sorted(found, key=lambda item: item[0]))
-
-
-__all__ = ["ALPHA", "Explanation", "Tally", "explanation", "may_become_cause", "not_yet_causes", "p_of_change"]

@@ -120,6 +120,3 @@ def sentences(choice: Choice, fresh: SuccessRate) -> list[str]:
         f"in the {scenes} scenes that chose it: {100 * choice.choosing.rate:.0f} %, too high on average, because they "
         "chose it",
     ]
-
-
-__all__ = ["Choice", "HalvingConfig", "Round", "choose", "sentences"]

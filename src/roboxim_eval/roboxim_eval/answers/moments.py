@@ -109,6 +109,3 @@ def summary(names: tuple[str, str], found: Sequence[SceneComparison]) -> tuple[s
                 f"{'; '.join(parts)}."
             )
     return tuple(sentences)
-
-
-__all__ = ["SceneComparison", "events_of", "first_success", "phase_at", "summary"]

@@ -320,6 +320,3 @@ def _words(factor: Factor, low: float, high: float) -> str:
             return f"{name} closer than {100 * (factor.upper - low):.0f} cm to the {factor.edges[1]}"
         return f"{along} over {low:.3g}{unit}"
     return f"{along} from {low:.3g} to {high:.3g}{unit}"
-
-
-__all__ = ["Factor", "Oracle", "Region", "SearchConfig", "failing_box", "search", "sobol"]

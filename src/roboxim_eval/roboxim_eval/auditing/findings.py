@@ -333,5 +333,3 @@ CHECKS: dict[str, Callable[[Probes], Statements]] = {
     "scene_matters": _scene_matters,
 }
 """Name of a check to the check, in the order of the report."""
-
-__all__ = ["CHECKS", "Audit", "Finding", "audit_findings"]

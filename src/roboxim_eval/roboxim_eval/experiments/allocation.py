@@ -138,6 +138,3 @@ def _half_sampled(components: Components, trainings: int, rollouts: int, cells: 
     over_cells = student_limit(cells - 1) * math.sqrt((components.cell or 0.0) / cells + within / (trainings * cells))
     added = student_limit(trainings - 1) * math.sqrt((components.training or 0.0) / trainings)
     return min(1.0, max(math.hypot(over_cells, added), _half(components, trainings, rollouts, cells)))
-
-
-__all__ = ["Allocation", "allocated", "allocation_of"]

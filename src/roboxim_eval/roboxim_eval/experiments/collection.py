@@ -126,6 +126,3 @@ def shared_out(number: int, weights: Mapping[str, float]) -> dict[str, int]:
     for key in order[: number - sum(found.values())]:
         found[key] += 1
     return found
-
-
-__all__ = ["ARMS", "Round", "next_round", "shared_out"]

@@ -242,14 +242,3 @@ def transfer_curve(
         points=points, change=trend([(x - places[0]) / (places[-1] - places[0]) for x in places], held_out),
         enough=enough, fewer=tuple(number for number in smaller if kinds.get(name_of(number)) == "lower"),
     )  # fmt: skip
-
-
-__all__ = [
-    "TransferCurve",
-    "TransferPoint",
-    "expanded",
-    "name_of",
-    "names_of",
-    "nested_sets",
-    "transfer_curve",
-]

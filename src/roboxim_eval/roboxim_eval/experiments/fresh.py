@@ -185,15 +185,3 @@ def fresh_part(seed: SceneSeed, trained_before: int, public: Card | None) -> Car
         public_card_sha256=public.sha256 if public is not None else "",
         public=tuple(row for row in public.evaluations if not row.checkpoint) if public is not None else (),
     )  # fmt: skip
-
-
-__all__ = [
-    "PublicAdvantage",
-    "SceneSeed",
-    "committed_text",
-    "fresh_part",
-    "public_advantages",
-    "public_text",
-    "public_warnings",
-    "require_committed",
-]

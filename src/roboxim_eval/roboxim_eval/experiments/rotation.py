@@ -180,6 +180,3 @@ def _without_set(config: ExperimentConfig) -> ExperimentConfig:
     datasets = {name: replace(data, more={}) if _all_seen(data) else data for name, data in config.datasets.items()}
     seeds = replace(config.replicates, first_seed=0)
     return replace(config, unseen=(), deviations=(), datasets=datasets, replicates=seeds)
-
-
-__all__ = ["MIN_SETS", "held_out_sets", "joined", "rotated"]

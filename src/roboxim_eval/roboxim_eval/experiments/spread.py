@@ -132,6 +132,3 @@ def _bounds(interval: Interval, difference: bool) -> str:
         return "-"
     sign = "+" if difference else ""
     return f"{round(100 * low) + 0:{sign}d} to {round(100 * high) + 0:{sign}d}"
-
-
-__all__ = ["Spread", "card_spreads", "primary_components", "spread_data", "spread_rows"]

@@ -204,12 +204,3 @@ def _components(table: Array, scene: float, episodes: float) -> Components:
         value=float(table.mean()), replicates=replicates, cells=cells, episodes=episodes,
         mean_squares=(float(among_trainings), float(among_cells), rest), scene=scene,
     )  # fmt: skip
-
-
-__all__ = [
-    "Components",
-    "arm_components",
-    "difference_components",
-    "pooled_components",
-    "student_limit",
-]

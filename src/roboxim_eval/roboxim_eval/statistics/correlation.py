@@ -372,19 +372,3 @@ def sentences(found: Correlation, names: tuple[str, str]) -> tuple[str, ...]:
         "orders wrongly.",
         f"Over policies of this kind, the correlation of log-odds is at least {found.at_least:.2f} (95 %).",
     )  # fmt: skip
-
-
-__all__ = [
-    "MIN_POLICIES",
-    "WHOLE",
-    "Correlation",
-    "Needed",
-    "PolicyCounts",
-    "correlation",
-    "counted",
-    "mean_maximum_rank_violation",
-    "needed_policies",
-    "pearson",
-    "policy_counts",
-    "sentences",
-]

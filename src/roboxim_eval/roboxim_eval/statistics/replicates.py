@@ -290,15 +290,3 @@ def more_trainings(difference: ConditionDifference, margin: float, *, alpha: flo
         if needed * spread / math.sqrt(replicates) <= margin:
             return replicates - difference.replicates
     return None
-
-
-__all__ = [
-    "MIN_REPLICATES",
-    "ConditionDifference",
-    "Interval",
-    "condition_difference",
-    "condition_rate",
-    "condition_ratio",
-    "mean_interval",
-    "more_trainings",
-]

@@ -150,6 +150,3 @@ def _within_sets(arms: Sequence[Arm]) -> Interval:
     low, high = mean_rate_interval(alike.tolist(), episodes)
     value = float(rates.mean())
     return Interval(value=value, low=min(low, value), high=max(high, value))
-
-
-__all__ = ["Part", "RotatedScore", "rotated_score"]

@@ -74,6 +74,3 @@ def mean_rate_interval(rates: Sequence[float], episodes: float, *, confidence: f
     below = np.concatenate([[0.0], np.cumsum(density) / density.sum()])
     low, high = np.interp([(1 - confidence) / 2, (1 + confidence) / 2], below, _grid()[0])
     return float(low), float(high)
-
-
-__all__ = ["mean_rate_interval"]

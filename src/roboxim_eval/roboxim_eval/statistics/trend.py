@@ -34,6 +34,3 @@ def trend(places: Sequence[float], arms: Sequence[Arm]) -> Interval:
     alone = math.sqrt(sum((w * error) ** 2 for w, error in zip(weights, errors, strict=True)))
     half = max(alone, student_limit(len(slopes) - 1) * float(slopes.std(ddof=1)) / math.sqrt(len(slopes)))
     return Interval(value=value, low=value - half, high=value + half)
-
-
-__all__ = ["trend"]

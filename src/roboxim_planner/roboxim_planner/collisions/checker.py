@@ -16,10 +16,10 @@ import numpy.typing as npt
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Vec3
-from roboxim_planner import native
 from roboxim_planner.collisions.contacts import ContactModel, ContactPair, ContactRules, held_shape
 from roboxim_planner.collisions.geometry import make_shape, placed_shapes
 from roboxim_planner.constraint import Upright
+from roboxim_planner.native import native
 from roboxim_planner.robot import PlannerRobot, native_shape, pose_matrix
 from roboxim_planner.scene import Body, BodyShape, PlanningScene, PointHull, TriangleMesh
 

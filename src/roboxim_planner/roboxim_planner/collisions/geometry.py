@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import IDENTITY, Pose, Vec3
-from roboxim_planner import native
+from roboxim_planner.native import native
 from roboxim_planner.scene import BodyShape, PlanningScene, PointHull, TriangleMesh
 
 Array = npt.NDArray[np.float64]

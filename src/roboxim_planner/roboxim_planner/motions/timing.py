@@ -18,7 +18,7 @@ from ruckig import InputParameter, Result, Ruckig, Trajectory
 
 from roboxim_core import limits as bounds
 from roboxim_core.errors import ErrorCode, PlannerError
-from roboxim_planner import native
+from roboxim_planner.native import native
 
 Array = npt.NDArray[np.float64]
 _SAME = 1e-9

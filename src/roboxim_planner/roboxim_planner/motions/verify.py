@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_planner import native
 from roboxim_planner.collisions.checker import TOUCH_M, CollisionWorld, ContactPair
 from roboxim_planner.collisions.sweep import Sweep
 from roboxim_planner.motions.paths import Watch
 from roboxim_planner.motions.timing import Motion, MotionLimits
+from roboxim_planner.native import native
 from roboxim_planner.robot import PlannerRobot
 
 Array = npt.NDArray[np.float64]

@@ -333,6 +333,3 @@ def load_checkpoint(path: Path) -> Checkpoint:
         pretraining=said.pretraining,
         original_sha256=said.original_sha256,
     )
-
-
-__all__ = ["ORIGINAL", "Checkpoint", "Statistics", "load_checkpoint", "policy_only", "save_checkpoint"]

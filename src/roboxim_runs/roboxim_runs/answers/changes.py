@@ -223,6 +223,3 @@ def _in_the_middle(task: TaskSpec, scene: SceneSpec) -> Iterator[Change]:
             "place", f"with the {thing.name} in the middle of the table",
             lambda s: replace(s, entities=tuple(moved(e) for e in s.entities)),
         )  # fmt: skip
-
-
-__all__ = ["NAMES", "Change", "both", "changes_of", "nominal_scene"]

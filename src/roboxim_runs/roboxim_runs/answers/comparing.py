@@ -129,6 +129,3 @@ def diverging(one: Try, two: Try) -> int | None:
     """Return the first tick whose states differ; None: all that both have are the same, bit for bit."""
     pairs = zip(one.states, two.states, strict=False)
     return next((a.seq for a, b in pairs if a.state_hash != b.state_hash), None)
-
-
-__all__ = ["CompareRun", "compare", "diverging"]

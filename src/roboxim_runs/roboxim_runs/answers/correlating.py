@@ -202,6 +202,3 @@ def correlated(first: Path, second: Sequence[Path], *, seed: int = 0) -> Correla
             raise ConfigError(f"{path}: policy '{twice[0]}' is in another of the tables, too; rename it")
         arms |= found
     return correlation(paired(read_results(first), arms), seed=seed)
-
-
-__all__ = ["correlated", "paired", "read_results"]

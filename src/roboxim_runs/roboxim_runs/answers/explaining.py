@@ -155,6 +155,3 @@ class _Repeats:
         rng = np.random.default_rng([number, self._info.index])
         moved = tuple(float(q + d) for q, d in zip(joints, rng.normal(0, JITTER_RAD, len(joints)), strict=True))
         return replace(scene, robot=replace(scene.robot, joint_positions=moved))
-
-
-__all__ = ["ExplainConfig", "explain"]

@@ -337,6 +337,3 @@ class _Points:
             tried = self._bench.run(draw, self._actor, seed, config=replace(self._config.run), bags=out)
             found.append(tried.result.bag)
         return found
-
-
-__all__ = ["MineConfig", "Mined", "at_point", "factors_of", "mine", "role_at_point"]

@@ -224,9 +224,3 @@ def recorded_run(info: EpisodeInfo) -> tuple[RunConfig, Draw]:
     config = replace(config, rate_hz=info.scene.control_rate_hz, max_steps=config.max_steps or limit, keep="all")
     task = json.dumps(data["task"])
     return config, Draw(task=info.task, scene=info.scene, max_steps=config.max_steps, config_json=task)
-
-
-__all__ = [
-    "IN_MEMORY", "GivenScene", "StateKeeper", "Try", "TryBench", "episode_loop", "executed_actions", "recorded_run",
-    "seed_of",
-]  # fmt: skip

@@ -409,6 +409,3 @@ def _global_seed(seed: int) -> Iterator[None]:
     finally:
         random.setstate(kept)
         np.random.set_state(kept_numpy)  # noqa: NPY002
-
-
-__all__ = ["Actor", "AuditConfig", "audit_benchmark", "environment_maker", "random_actions"]

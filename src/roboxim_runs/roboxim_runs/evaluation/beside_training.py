@@ -225,6 +225,3 @@ def _readable(answer: Any, description: PolicyDescription) -> ActionChunk | Poli
         return checked_answer(answer, description)
     except PolicyError as error:
         return PolicyError(f"policy '{description.name}': {error}", error.code)
-
-
-__all__ = ["Evaluator", "Score"]

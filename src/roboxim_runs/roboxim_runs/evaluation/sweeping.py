@@ -136,6 +136,3 @@ def sweep(
     result = {"rounds": [asdict(one) for one in choice.rounds], "winner": choice.winner, "fresh": asdict(rate)}
     write_whole(out / RESULT, json.dumps(result, indent=2) + "\n")
     return SweepResult(choice=choice, winner=by_name[choice.winner], fresh=rate, evaluation=evaluation)
-
-
-__all__ = ["RESULT", "SweepResult", "checkpoint_policies", "sweep"]

@@ -205,6 +205,3 @@ def _matrices(poses: Sequence[Pose]) -> Array:
         matrices[:, :3, :3] = Rotation.from_quat([pose.quat_xyzw for pose in poses]).as_matrix()
         matrices[:, :3, 3] = [pose.position for pose in poses]
     return matrices
-
-
-__all__ = ["MAX_LIGHTS", "Batch", "Frame"]

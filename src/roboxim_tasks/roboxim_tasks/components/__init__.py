@@ -1,8 +1,6 @@
 """Reset components, registered by name: each module of this folder holds one."""
 
-import importlib
-import pkgutil
-
+from roboxim_core.registry import import_modules
 from roboxim_tasks.components.base import (
     COMPONENTS,
     Constraint,
@@ -12,8 +10,7 @@ from roboxim_tasks.components.base import (
     register,
 )
 
-for _module in pkgutil.iter_modules(__path__):
-    importlib.import_module(f"{__name__}.{_module.name}")
+import_modules(__name__, __path__)
 
 __all__ = [
     "COMPONENTS",

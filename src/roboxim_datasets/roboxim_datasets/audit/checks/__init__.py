@@ -1,33 +1,5 @@
 """The checks, one file per family; importing this package registers them."""
 
-from roboxim_datasets.audit.checks import (
-    behaviour,
-    cameras,
-    content,
-    control,
-    dataset,
-    gripper,
-    limits,
-    motion,
-    recorded_task,
-    rotation,
-    task,
-    timing,
-    visibility,
-)
+from roboxim_core.registry import import_modules
 
-__all__ = [
-    "behaviour",
-    "cameras",
-    "content",
-    "control",
-    "dataset",
-    "gripper",
-    "limits",
-    "motion",
-    "recorded_task",
-    "rotation",
-    "task",
-    "timing",
-    "visibility",
-]
+import_modules(__name__, __path__)

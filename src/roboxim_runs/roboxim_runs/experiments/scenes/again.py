@@ -139,6 +139,3 @@ def _linked(source: str, target: str) -> None:
         os.link(source, target)
     except OSError:  # another file system
         shutil.copy2(source, target)
-
-
-__all__ = ["attested_seed", "scenes_of", "take_trainings"]

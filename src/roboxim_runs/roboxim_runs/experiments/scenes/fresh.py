@@ -105,15 +105,3 @@ def card_part(out: Path, products: Mapping[str, Mapping[str, Any]], card: Card) 
 def _public_card(out: Path) -> Card | None:
     path = out / PUBLIC_FILE
     return check_card(read_json(path), source=str(path)) if path.exists() else None
-
-
-__all__ = [
-    "COMMITTED",
-    "PUBLIC_FILE",
-    "card_part",
-    "drawn_seed",
-    "in_scenes_of",
-    "require_no_other_seed",
-    "store_seed",
-    "stored_seed",
-]
