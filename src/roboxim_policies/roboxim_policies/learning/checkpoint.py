@@ -81,18 +81,12 @@ class Chosen:
         return f"lowest loss on {self.held_out} held-out demonstrations, of {self.checks} checks"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Checkpoint:
-    """Content of a checkpoint."""
+@dataclass(frozen=True, kw_only=True)
+class _Facts:
+    """Facts of a checkpoint that its description states as they are."""
 
     step: int
     """Steps done."""
-    config: LearningConfig
-    """Configuration."""
-    stats: Statistics
-    """Normalisation."""
-    empty: float
-    """Opening of the gripper below which it is closed and empty."""
     vocabulary: tuple[str, ...]
     """Words."""
     word_count: int
@@ -103,25 +97,37 @@ class Checkpoint:
     """Camera name to the side of the network's input [px]."""
     semantics: ActionSemantics
     """Meaning of the actions."""
-    robot: str
+    robot: str = ""
     """Id of the robot model of the demonstrations; empty: unknown."""
-    chosen: Chosen | None
+    chosen: Chosen | None = None
     """How the averaged weights were chosen; None: they are the last step's."""
     identity: str
-    """Hash of configuration and data, see `identity_of`."""
-    continues: bool
-    """Whether this version continues its training; it runs the policies of earlier formats, too."""
+    """Hash of configuration and data, see `Checkpoint.identity_of`."""
     digest: str
     """Hash of the averaged weights, 16 hexadecimal digits."""
-    arrays: list[npt.NDArray[Any]]
-    """Arrays of (weights, optimiser state, averaged weights), in this order; see ``original_sha256``."""
-    started_from: Mapping[str, Any] = field(default_factory=dict)
+    started_from: dict[str, Any] = field(default_factory=dict)
     """The checkpoint that the training began with: its ``digest``, ``step`` and, if it has one, ``pretraining``; empty:
     the first weights were drawn."""
-    pretraining: Mapping[str, Any] = field(default_factory=dict)
+    pretraining: dict[str, Any] = field(default_factory=dict)
     """Name and exposure of a checkpoint of ``roboxim pretrain``; empty: it is another one."""
     original_sha256: str = ""
     """SHA-256 of the whole checkpoint's file, if this one has the averaged weights only; empty: it is whole."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Checkpoint(_Facts):
+    """Content of a checkpoint."""
+
+    config: LearningConfig
+    """Configuration."""
+    stats: Statistics
+    """Normalisation."""
+    empty: float
+    """Opening of the gripper below which it is closed and empty."""
+    continues: bool
+    """Whether this version continues its training; it runs the policies of earlier formats, too."""
+    arrays: list[npt.NDArray[Any]]
+    """Arrays of (weights, optimiser state, averaged weights), in this order; see ``original_sha256``."""
 
     @staticmethod
     def identity_of(
@@ -165,25 +171,12 @@ class Checkpoint:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Description:
-    """The description in a checkpoint, as far as a policy needs it; see `Checkpoint` for the fields."""
+class _Description(_Facts):
+    """The description in a checkpoint, as far as a policy needs it."""
 
-    step: int
     config: dict[str, Any]
     stats: dict[str, tuple[float, ...]]
     empty_below: float
-    vocabulary: tuple[str, ...]
-    word_count: int
-    camera_sizes: dict[str, tuple[int, int]]
-    input_sizes: dict[str, int]
-    semantics: ActionSemantics
-    identity: str
-    digest: str
-    robot: str = ""
-    chosen: Chosen | None = None
-    started_from: dict[str, Any] = field(default_factory=dict)
-    pretraining: dict[str, Any] = field(default_factory=dict)
-    original_sha256: str = ""
 
     def __post_init__(self) -> None:
         """Check that the parts fit each other; the weights are checked against the configuration.
@@ -314,22 +307,10 @@ def load_checkpoint(path: Path) -> Checkpoint:
         {key: value for key, value in description.items() if key in known}, _Description, source=str(file)
     )
     return Checkpoint(
-        step=said.step,
+        **{fact.name: getattr(said, fact.name) for fact in fields(_Facts)},
         config=from_plain(said.config, config_class(family_in(description)), source=str(file)),
         stats=Statistics(**{name: np.array(value, np.float32) for name, value in said.stats.items()}),
         empty=said.empty_below,
-        vocabulary=said.vocabulary,
-        word_count=said.word_count,
-        camera_sizes=said.camera_sizes,
-        input_sizes=said.input_sizes,
-        semantics=said.semantics,
-        robot=said.robot,
-        chosen=said.chosen,
-        identity=said.identity,
         continues=description["format"] == FORMAT,
-        digest=said.digest,
         arrays=arrays,
-        started_from=said.started_from,
-        pretraining=said.pretraining,
-        original_sha256=said.original_sha256,
     )
