@@ -17,13 +17,13 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from roboxim_core.config_folders import config_dirs, config_names, config_sets
 from roboxim_core.user_folders import cache_dir
+from roboxim_core.whole_files import write_whole
 
 if TYPE_CHECKING:
     from roboxim_cli.catalog_maker import Catalog, Part
@@ -131,11 +131,7 @@ def _read(path: Path) -> dict[str, Any]:
 def _write(path: Path, data: dict[str, Any]) -> None:
     """Write a file atomically. If that fails, the next call makes the catalog again."""
     with contextlib.suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent)
-        with os.fdopen(handle, "w") as file:
-            json.dump(data, file)
-        os.replace(name, path)
+        write_whole(path, json.dumps(data))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import os
 import re
 from collections.abc import Callable
@@ -434,3 +436,8 @@ def require_ending(file: Path, *endings: str) -> None:
 
     if file.suffix not in endings:
         raise ConfigError(f"--out must end in {', '.join(endings)}, got {file}")
+
+
+def print_json(value: Any) -> None:
+    """Print plain data and dataclasses as JSON, as the option ``--json`` of several commands asks."""
+    click.echo(json.dumps(value, indent=2, default=dataclasses.asdict))

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError
+from roboxim_core.whole_files import write_whole
 
 Facts = dict[str, Any]
 """What the journal says of an episode: plain JSON values, with at least ``split``."""
@@ -85,9 +86,7 @@ class ResumableBuild:
             self._remove_pieces()
         (self._folder / "pieces").mkdir(parents=True, exist_ok=True)
         lines = [{"identity": identity}, *self.entries]  # written again: the last line may be torn
-        scratch = self._folder / "journal.tmp"
-        scratch.write_text("".join(json.dumps(line) + "\n" for line in lines))
-        scratch.replace(self._journal)
+        write_whole(self._journal, "".join(json.dumps(line) + "\n" for line in lines))
 
     def _require_place(self) -> None:
         path = self.path

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_core.config import to_plain
+from roboxim_core.whole_files import write_whole
 from roboxim_datasets.account import Account, lines, to_json
 from roboxim_datasets.dataset import EXPORT_FILE, Dataset, in_order
 from roboxim_datasets.files import reading
@@ -360,9 +361,7 @@ def write_card(dataset: Dataset) -> Path:
         picture = _picture(dataset)
         files = {dataset.folder / picture: encoded(contact_sheet(dataset.episode(0)), "JPEG"), **files}
     for file, content in files.items():
-        scratch = file.with_name(f".{file.name}.tmp")
-        scratch.write_bytes(content)
-        scratch.replace(file)
+        write_whole(file, content)
     return place
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 
 from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_core.plain_data.results_log import RUN_FILE
+from roboxim_core.plain_data.shell import shell_line
 from roboxim_core.user_folders import expanded
 from roboxim_datasets import hdf5, lerobot, rlds  # importing a format registers it
 from roboxim_datasets.dataset import Dataset
@@ -62,7 +62,7 @@ def _not_one(path: Path, found: list[tuple[str, Path]], format: str) -> str:
         names = ", ".join(f"{at} ({name})" for name, at in found[:5]) + (", ..." if len(found) > 5 else "")
         return f"{path} holds {len(found)} datasets; name one of {names}"
     if any((path / name).exists() for name in ("episodes", RUN_FILE)) or any(path.glob("**/*.mcap")):
-        bags, dataset = shlex.quote(str(path)), shlex.quote(f"{path}-rlds")
-        return f"{path} holds bags, not a dataset; export them first: roboxim export rlds {bags} --out {dataset}"
+        export = shell_line("roboxim", "export", "rlds", path, "--out", f"{path}-rlds")
+        return f"{path} holds bags, not a dataset; export them first: {export}"
     kinds = format or ", ".join(FORMATS)
     return f"{path} holds no dataset (formats: {kinds}); name the folder that 'roboxim export' or another tool wrote"

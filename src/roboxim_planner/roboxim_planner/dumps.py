@@ -10,8 +10,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import os
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ from roboxim_core.models.description import Shape
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.user_folders import cache_dir, expanded
+from roboxim_core.whole_files import write_whole
 from roboxim_planner.checks import PlannerConfig, no_watch
 from roboxim_planner.collisions.geometry import mesh_points
 from roboxim_planner.motions.paths import Watch
@@ -164,9 +163,7 @@ def write_dump(dump: Dump, folder: Path, name: str, *, kept: int) -> Path:
     number = 0
     while (path := folder / f"{name}-{number}{SUFFIX}").exists():
         number += 1
-    with tempfile.NamedTemporaryFile("w", dir=folder, suffix=".partial", delete=False) as file:
-        json.dump(data, file, allow_nan=False)
-    os.replace(file.name, path)
+    write_whole(path, json.dumps(data, allow_nan=False))
     for old in list_dumps(folder)[kept:]:
         with contextlib.suppress(OSError):
             old.unlink()

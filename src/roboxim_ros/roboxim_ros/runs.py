@@ -29,6 +29,7 @@ import domain_coordinator
 
 from roboxim_core.errors import ConfigError, UnavailableError
 from roboxim_core.user_folders import runtime_dir as runtime_dir
+from roboxim_core.whole_files import write_whole
 from roboxim_ros.environment import clean_environment
 from roboxim_ros.shared_memory import busy_domains
 
@@ -184,10 +185,7 @@ def _lock() -> Iterator[None]:
 
 
 def _write(run: Run) -> None:
-    path = _file(run.id)
-    part = path.with_suffix(f".{os.getpid()}.part")
-    part.write_text(json.dumps(dataclasses.asdict(run)))
-    part.replace(path)
+    write_whole(_file(run.id), json.dumps(dataclasses.asdict(run)))
 
 
 def _read(path: Path) -> Run | None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 from typing import Any
 
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.options import option
+from roboxim_cli.options import option, print_json
 
 
 def _options(words: tuple[str, ...]) -> dict[str, Any]:
@@ -72,7 +70,7 @@ def command(
     except PolicyError as error:
         raise ConfigError(str(error)) from error  # exit code 1 is for faults of the environment
     if as_json:
-        click.echo(json.dumps(dataclasses.asdict(found), indent=2))
+        print_json(found)
     else:
         for finding in found.findings:
             click.echo(f"fault  {finding.check}: {finding.sentence}")

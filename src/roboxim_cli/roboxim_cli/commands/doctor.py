@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
-
 import click
 
 from roboxim_cli import strict
+from roboxim_cli.options import print_json
 
 _SIGNS = {
     "ok": ("ok      ", "green"),
@@ -37,5 +35,5 @@ def command(as_json: bool) -> None:
                 if finding.state != "ok" and text:
                     click.echo(f"{'':<10}{'':<16} {label}: {text}")
     if as_json:
-        click.echo(json.dumps([dataclasses.asdict(finding) for finding in findings], indent=2))
+        print_json(findings)
     raise SystemExit(int(any(finding.state == "missing" for finding in findings)))

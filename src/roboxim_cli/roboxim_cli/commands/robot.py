@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from click.core import ParameterSource
 from roboxim_cli import strict
 from roboxim_cli.named import Named
 from roboxim_cli.options import option, parse_side
+from roboxim_core.plain_data.shell import shell_line
 
 
 @strict.group()
@@ -73,7 +73,7 @@ def new(source: Path, name: str, out: Path, **given: Any) -> None:
         recipe = RobotRecipe(name=name or stem, urdf=str(source.resolve()), source=source.name, **given)
     file = derive(recipe, out / "robots", folder=source.resolve().parent, report=click.echo)
     click.echo(f"wrote {file} and {file.with_suffix('')}/")
-    click.echo(f"next: ROBOXIM_CONFIG_PATH={shlex.quote(str(out))} roboxim robot check {recipe.name}")
+    click.echo(f"next: ROBOXIM_CONFIG_PATH={shell_line(out)} roboxim robot check {recipe.name}")
 
 
 @command.command("gripper", begins="making the gripper")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from roboxim_cli import strict
+from roboxim_cli.options import print_json
 
 if TYPE_CHECKING:
     from roboxim_ros.runs import Run
@@ -41,7 +40,7 @@ def _list_live(as_json: bool) -> None:
 
     runs = live_runs()
     if as_json:
-        click.echo(json.dumps([dataclasses.asdict(run) for run in runs], indent=2))
+        print_json(runs)
         return
     if not runs:
         click.echo("no run is alive; start one with: roboxim up")
@@ -91,7 +90,7 @@ def _list_folders(folders: Sequence[Path], as_json: bool) -> None:
 
     found = find_runs(folders)
     if as_json:
-        click.echo(json.dumps([dataclasses.asdict(state) for state in found], indent=2))
+        print_json(found)
         return
     rows = [("FOLDER", "KIND", "SHARD", "STATE", "EPISODES", "EXECUTOR", "HOST", "LAST EVENT")]
     for state in found:

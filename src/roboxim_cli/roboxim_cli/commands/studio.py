@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+
+from roboxim_core.plain_data.shell import shell_line
 
 if TYPE_CHECKING:
     from roboxim_runs.policies.specs import ChosenPolicy
@@ -88,8 +89,8 @@ def command(
     if kept := studio.drive.kept:
         folder = studio.drive.bags.name
         click.echo(f"\n{kept} episode{'s' * (kept > 1)} kept in {folder}, {studio.drive.solved} solved")
-        bags, dataset = shlex.quote(str(folder)), shlex.quote(f"{folder}-act")
-        click.echo(f"next: roboxim export lerobot {bags} --for act --out {dataset}")
+        export = shell_line("roboxim", "export", "lerobot", folder, "--for", "act", "--out", f"{folder}-act")
+        click.echo(f"next: {export}")
 
 
 def _policies(names: tuple[str, ...], checkpoints: tuple[str, ...]) -> list[ChosenPolicy]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.options import is_given, option, task_options, with_options
+from roboxim_cli.options import is_given, option, print_json, task_options, with_options
 
 
 @strict.group()
@@ -30,7 +29,7 @@ def list_tasks(as_json: bool) -> None:
     known = catalog("tasks")
     skills, tasks, broken = known["skills"], known["tasks"], known["broken"]
     if as_json:
-        click.echo(json.dumps({"skills": skills, "tasks": tasks, "broken": broken}, indent=2))
+        print_json({"skills": skills, "tasks": tasks, "broken": broken})
     else:
         _show(skills, tasks)
     if broken:

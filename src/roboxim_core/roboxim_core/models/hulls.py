@@ -7,8 +7,6 @@ simulator and the planner therefore read the same shape; in PyBullet its surface
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +18,7 @@ from roboxim_core.models.mesh_files import Stamp, mesh_references, mesh_stamp, r
 from roboxim_core.models.surfaces import paint, refuse_transparency
 from roboxim_core.poses import Array
 from roboxim_core.user_folders import cache_dir
+from roboxim_core.whole_files import write_whole
 
 if TYPE_CHECKING:
     import trimesh
@@ -116,10 +115,7 @@ def _hull_file(path: str, _stamp: Stamp) -> str:
         lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in hull.vertices]
         lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in hull.faces]
         try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile("w", dir=file.parent, suffix=".tmp", delete=False) as out:
-                out.write("\n".join(lines) + "\n")
-            os.replace(out.name, file)
+            write_whole(file, "\n".join(lines) + "\n")
         except OSError as error:
             raise ConfigError(
                 f"cannot write {file}: {error.strerror}; set XDG_CACHE_HOME to a writable folder"

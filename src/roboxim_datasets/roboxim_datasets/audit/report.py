@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from roboxim_core.whole_files import write_whole
+from roboxim_core.whole_files import write_json, write_whole
 from roboxim_datasets.audit.values import AuditResult, CheckResult, Finding
 
 SHOWN_FINDINGS = 20
@@ -164,7 +163,7 @@ def write_audit(report: AuditReport, folder: Path) -> Path:
     page = environment.get_template("audit.html").render(
         report=report, summary=summary_line(report.result), checks=checks, words=STATUS
     )
-    write_whole(folder / "audit.json", json.dumps(as_plain(report), indent=2) + "\n")
+    write_json(folder / "audit.json", as_plain(report))
     path = folder / "report.html"
     write_whole(path, page)
     return path

@@ -6,7 +6,6 @@ ground truth from them; a dataset has it where its bags are given. The rest is c
 
 from __future__ import annotations
 
-import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -18,6 +17,7 @@ from roboxim_bringup.cores import CoreSegmentation
 from roboxim_core.errors import ConfigError, RecorderError, RoboximError
 from roboxim_core.kinematics import ArmKinematics, Arms
 from roboxim_core.models.library import ModelLibrary
+from roboxim_core.plain_data.shell import shell_line
 from roboxim_core.user_folders import expanded
 from roboxim_datasets.audit import AUDIT_CHECKS, AuditEpisode, Auditor, AuditResult, Finding
 from roboxim_datasets.audit.report import AuditReport, Picture, write_audit
@@ -367,4 +367,4 @@ def _command(path: Path, out: Path | str | None, config: AuditConfig) -> str:
     words += ["--replay"] * config.replay + ["--no-render"] * (not config.render)
     words += ["--episodes", str(config.episodes)] if config.episodes else []
     words += ["--out", str(out)] if out is not None else []
-    return shlex.join(words)
+    return shell_line(*words)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -14,6 +13,7 @@ import numpy as np
 
 from roboxim_core.episode import Draw, EpisodeInfo, EpisodeRunner, RunConfig
 from roboxim_core.errors import ConfigError, RoboximError, TaskError
+from roboxim_core.plain_data.shell import shell_line
 from roboxim_core.rates import ticks
 from roboxim_core.seeds import SeedPath
 from roboxim_eval.film_options import FilmOptions
@@ -78,7 +78,7 @@ def shown_episode(
         conditions, explanation = (), ""
         notes.append(f"What it was judged by is not known here: {error}")
     log, log_note = printed(run or bag.parent.parent, result.index)
-    where = shlex.quote(shown_as or str(bag))
+    where = shell_line(shown_as or bag)
     commands = (
         f"roboxim studio {where}   # in 3D, tick by tick\n"
         f"roboxim show {where} --out why.html\nroboxim up                       # in one terminal\n"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 from roboxim_core.errors import ConfigError, listed
+from roboxim_core.plain_data.shell import shell_line
 from roboxim_eval.film_options import FilmOptions
 from roboxim_runs.evaluation.report import REPORT_FILE, doubts_about, stored_record
 from roboxim_runs.evaluation.results import PolicyResult
@@ -67,7 +67,7 @@ def compare_evaluations(folders: Sequence[Path], out: Path, *, film: FilmOptions
         )
     report = Report(
         title=f"{listed(records)} side by side", runs=runs, facts=facts, versions={}, place=place, warnings=warnings,
-        command=shlex.join(["roboxim", "report", *map(str, folders), "--out", str(out)]),
+        command=shell_line("roboxim", "report", *folders, "--out", out),
     )  # fmt: skip
     write_report(report, out)
     return out / REPORT_FILE, "\n".join(filter(None, (*doubts, verdict_line(runs))))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.results_log import RESULTS_FILE
+from roboxim_core.plain_data.shell import shell_line
 from roboxim_recorder.bag import BagReader, mcap_file
 from roboxim_recorder.run_bags import read_results
 from roboxim_runs.episodes.showing import Other
@@ -68,9 +68,8 @@ def _of_an_experiment(place: Path, number: int | None) -> str:
     if not folders:
         return f"{place} is an experiment without evaluations yet; run it first"
     names = ", ".join(folder.name for folder in folders[:8]) + (", ..." if len(folders) > 8 else "")
-    return (
-        f"{place} is an experiment with {len(folders)} evaluations ({names}); name one, e.g. roboxim show "
-        f"{shlex.quote(str(folders[0]))} {number or 0}"
+    return f"{place} is an experiment with {len(folders)} evaluations ({names}); name one, e.g. " + shell_line(
+        "roboxim", "show", folders[0], number or 0
     )
 
 
@@ -126,8 +125,8 @@ def _bag_of(run: Path, number: int | None) -> Path:
     results = read_results(run)
     if number is None:
         raise ConfigError(
-            f"{run} has {len(results)} episodes; say which one, e.g. roboxim show "
-            f"{shlex.quote(str(run))} {_example(results)}"
+            f"{run} has {len(results)} episodes; say which one, e.g. "
+            + shell_line("roboxim", "show", run, _example(results))
         )
     matching = [result for result in results if result.index == number]
     if not matching:

@@ -5,7 +5,6 @@ The report is imported where it is needed: the import takes seconds.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ from roboxim_core.episode import EpisodeInfo, EpisodeResult
 from roboxim_core.errors import ConfigError, listed
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.plain_data.results_log import RESULTS_FILE
-from roboxim_core.whole_files import write_whole
+from roboxim_core.whole_files import write_json
 from roboxim_eval.film_options import FilmOptions
 from roboxim_runs.episodes.run import EpisodesJob
 from roboxim_runs.evaluation.results import EvaluationResult, PolicyResult
@@ -140,7 +139,7 @@ def write_evaluation(
     from roboxim_eval.report import PolicyRun, verdict_line
 
     doubts = [text for result in found.values() for text in doubts_about(record, result)]
-    write_whole(out / RECORD_FILE, json.dumps(to_plain(record), indent=2) + "\n")
+    write_json(out / RECORD_FILE, to_plain(record))
     infos = {name: info for name, result in found.items() if (info := _first_info(result)) is not None}
     runs = [
         PolicyRun(policy=name, results=result.results, trained=record.is_trained(name))

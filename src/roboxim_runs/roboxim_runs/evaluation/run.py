@@ -7,7 +7,6 @@ policy's name or folder is refused before them.
 from __future__ import annotations
 
 import contextlib
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -269,12 +268,3 @@ def _call(config: EvaluationConfig) -> str:
         if value != default[name] and name not in ("workers", "stopped", "undecided", "shard", "page")
     }
     return f"roboxim.evaluate({', '.join(f'{name}={value!r}' for name, value in given.items())})"
-
-
-def command_line(words: Sequence[str]) -> str:
-    """Return the command line that reproduces a report.
-
-    Args:
-        words: The command's arguments.
-    """
-    return shlex.join(["roboxim", *words])

@@ -7,7 +7,6 @@ The scenes of the choice and the fresh scenes are two evaluations in two folders
 from __future__ import annotations
 
 import itertools
-import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from roboxim_core.errors import ConfigError
-from roboxim_core.whole_files import write_whole
+from roboxim_core.whole_files import write_json
 from roboxim_policies.learning.checkpoint_file import checkpoint_file, family_in, read_description
 from roboxim_runs.evaluation.results import EvaluationResult
 from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
@@ -134,5 +133,5 @@ def sweep(
     evaluation = played([choice.winner], halving.fresh, "fresh", purpose="eval", seed=config.seed + SEED_STEP)
     rate = evaluation[choice.winner].rate
     result = {"rounds": [asdict(one) for one in choice.rounds], "winner": choice.winner, "fresh": asdict(rate)}
-    write_whole(out / RESULT, json.dumps(result, indent=2) + "\n")
+    write_json(out / RESULT, result)
     return SweepResult(choice=choice, winner=by_name[choice.winner], fresh=rate, evaluation=evaluation)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -12,7 +10,8 @@ from typing import Any
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.documents import read_json
-from roboxim_core.whole_files import write_whole
+from roboxim_core.plain_data.shell import shell_line
+from roboxim_core.whole_files import write_json, write_whole
 from roboxim_eval.benchmark.card import BenchmarkCard, check_benchmark_card, concluded_benchmark
 from roboxim_eval.benchmark.config import BenchmarkConfig, experiment_changes
 from roboxim_eval.experiments import ExperimentConfig
@@ -118,7 +117,7 @@ def run_benchmark(
     make_folder(out)
     state = {"benchmark": config.benchmark, "scale": config.scale, "trainer": config.trainer}
     _require_same(out / STATE_FILE, state)
-    write_whole(out / STATE_FILE, json.dumps(state, indent=2) + "\n")
+    write_json(out / STATE_FILE, state)
     for name, card in cards.items():
         make_folder(out / name)
         write_card(card, out / name)
@@ -257,7 +256,7 @@ def write_benchmark_report(out: Path) -> BenchmarkCard:
 
     card = benchmark_card(out)
     pages = {name: f"{name}/{REPORT_FILE}" for name in card.experiments if (out / name / REPORT_FILE).exists()}
-    write_whole(out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")
+    write_json(out / CARD_FILE, card.plain)
     write_whole(out / REPORT_FILE, benchmark_page(
         card, command=benchmark_reproduction(out, card.experiments), pages=pages, warnings=benchmark_warnings(card),
     ))  # fmt: skip
@@ -293,7 +292,7 @@ def benchmark_reproduction(out: Path, experiments: Iterable[str]) -> str:
     words += ["--scene-seed", str(seed)] if seed else []
     for name in experiments:
         words += policy_words(here[name], f"{name}.") if name in here else ["--card", f"{out.name}/{name}/{CARD_FILE}"]
-    return shlex.join(words)
+    return shell_line(*words)
 
 
 def stored_benchmark_card(path: Path) -> BenchmarkCard:

@@ -20,7 +20,7 @@ from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json, read_json_object
 from roboxim_core.plain_data.results_log import ResultsLog
 from roboxim_core.seeds import CELL, CELL_NUMBER
-from roboxim_core.whole_files import write_whole
+from roboxim_core.whole_files import write_json, write_whole
 from roboxim_eval.experiments import Design, Stage, chosen, stages_of
 from roboxim_eval.experiments.card import (
     Card,
@@ -188,8 +188,8 @@ def collect_proofs(stages: Sequence[Stage], out: Path, changed: Sequence[str]) -
             excluded[f"evaluate/{condition}.{replicate}{at}{checkpoint}"] = indices
         if proof["judged_again"] is not None:
             again = [*(again or []), *proof["judged_again"]]
-    write_whole(out / PROOFS_FILE, json.dumps(checks, indent=2) + "\n")
-    write_whole(out / STATEMENTS_FILE, json.dumps(statements, indent=2) + "\n")
+    write_json(out / PROOFS_FILE, checks)
+    write_json(out / STATEMENTS_FILE, statements)
     write_whole(out / EXCLUDED_FILE, json.dumps(excluded) + "\n")
     if again is not None:
         write_whole(out / JUDGED_FILE, json.dumps(again) + "\n")

@@ -6,7 +6,6 @@ The rooms check their own parts: `roboxim_eval` the experiment, `roboxim_tasks` 
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from roboxim_core.config_folders import config_names, is_path
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.merging import merged
 from roboxim_core.plain_data.pictures import load_with_textures
+from roboxim_core.plain_data.shell import shell_line
 from roboxim_eval.benchmark.config import BenchmarkConfig, benchmark_config, experiment_changes
 from roboxim_eval.experiments import Design, ExperimentConfig, design_of, experiment_config, mix_of
 from roboxim_eval.experiments.config import FULL
@@ -165,7 +165,7 @@ def run_words(file: Path, config: ExperimentConfig, trainer: str, command: str =
     """
     name = trainer_name(config, trainer)
     words = ["roboxim", *command.split(), str(file), *(["--trainer", name] if name else []), "--out", "OUT"]
-    return shlex.join(words)
+    return shell_line(*words)
 
 
 def write_rotated(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,8 +12,9 @@ from roboxim_core.config import from_plain
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json
+from roboxim_core.plain_data.shell import shell_line
 from roboxim_core.plain_data.yaml_text import parse
-from roboxim_core.whole_files import write_whole
+from roboxim_core.whole_files import write_json, write_whole
 from roboxim_eval.experiments import Design, ExperimentConfig, stages_of
 from roboxim_eval.experiments.card import Card, is_card
 from roboxim_eval.experiments.card_checks import card_curve, check_card, design_of_card, plain_interval
@@ -140,7 +140,7 @@ def stored_card(path: Path) -> Card:
 
 def write_card(card: Card, out: Path) -> None:
     """Write ``OUT/card.json``."""
-    write_whole(out / CARD_FILE, json.dumps(card.plain, indent=2) + "\n")
+    write_json(out / CARD_FILE, card.plain)
 
 
 def report_data(card: Card, written: Sequence[Path]) -> str:
@@ -366,7 +366,7 @@ def reproduction(folder: ExperimentFolder) -> str:
     words += ["--renderer", folder.renderer] if folder.renderer else []
     seed = folder.design.config.evaluate.seed
     words += ["--scene-seed", str(seed)] if seed else []
-    return shlex.join([*words, *policy_words(folder, prefix)])
+    return shell_line(*words, *policy_words(folder, prefix))
 
 
 def policy_words(folder: ExperimentFolder, prefix: str = "") -> list[str]:

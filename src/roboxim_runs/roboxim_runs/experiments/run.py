@@ -10,7 +10,6 @@ states the version of the code, for the card.
 from __future__ import annotations
 
 import itertools
-import json
 import shutil
 import time
 from collections.abc import Collection, Sequence
@@ -23,7 +22,7 @@ from roboxim_core.config import digest, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.results_log import ResultsLog
-from roboxim_core.whole_files import write_whole
+from roboxim_core.whole_files import write_json, write_whole
 from roboxim_eval.experiments import Design, Stage, stages_of
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.fresh import SceneSeed
@@ -253,7 +252,7 @@ class _Run:
         for stage in pending:
             if stage.kind == "train":
                 require_start(self.design, stage.name.removeprefix("train/"))
-        write_whole(self.out / STATE_FILE, json.dumps(as_json(content), indent=2) + "\n")
+        write_json(self.out / STATE_FILE, as_json(content))
         self._attest()
         if not self.config.shard:  # which has a part of the products alone
             self._lost = lost_products(self._by_name, self.done, pending, self.out)

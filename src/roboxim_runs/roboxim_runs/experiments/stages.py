@@ -19,7 +19,7 @@ from roboxim_core.errors import RoboximError
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.seeds import CELL
 from roboxim_core.shards import Shard
-from roboxim_core.whole_files import write_whole
+from roboxim_core.whole_files import write_json, write_whole
 from roboxim_eval.experiments import Design, Stage
 from roboxim_eval.experiments.proving.changes import changed_parts
 from roboxim_eval.experiments.proving.proofs import NAMED, Tally
@@ -278,7 +278,7 @@ class Stages:
         if found.faults and not refusal:
             found += Tally(statements=(self._tolerated(stage, found, excluded),))
         content = {**to_plain(found), "excluded": excluded, "judged_again": again}
-        write_whole(folder / PROOF_FILE, json.dumps(content, indent=2) + "\n")
+        write_json(folder / PROOF_FILE, content)
         for text in found.statements:
             self.on_event(Notice(text=text))
         if refusal:

@@ -24,7 +24,7 @@ from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.plain_data.results_log import REMEDY, RESULTS_FILE, RUN_FILE, LoggedResult, ResultsLog
 from roboxim_core.shards import Shard
 from roboxim_core.user_folders import expanded
-from roboxim_core.whole_files import write_whole
+from roboxim_core.whole_files import write_json
 from roboxim_recorder.bag_writer import PARTIAL, PLACES
 from roboxim_runs.storage.occupied import command_of, require_own
 from roboxim_runs.storage.store import repair_stored, stored_bags
@@ -80,7 +80,7 @@ class RunFolder:
             if stored_at.exists() and self.log.path.exists():
                 self._require_same(config, repair)
             self._require_same_store(config, repair)
-            write_whole(stored_at, json.dumps(dict(config), indent=2, sort_keys=True) + "\n")
+            write_json(stored_at, dict(config), sort_keys=True)
             yield self
 
     def _require_same(self, config: Mapping[str, Any], repair: bool) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import json
 import os
 import shlex
 import shutil
@@ -24,7 +23,7 @@ from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, listed
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.results_log import RESULTS_FILE, RUN_FILE, line_of
-from roboxim_core.whole_files import write_whole
+from roboxim_core.whole_files import write_json, write_whole
 from roboxim_recorder.bag_writer import PLACES, disk_errors
 from roboxim_runs.episodes.generation import write_first_demonstrations
 from roboxim_runs.evaluation.report import RECORD_FILE, REPORT_FILE, EvaluationRecord, report_of, stored_record
@@ -363,7 +362,7 @@ class _Merge:
             note_stored(folder, noted)
             lines = [line_of(run_key(self.config), episode.line) for _, episode in sorted(self.chosen.items())]
             write_whole(folder / RESULTS_FILE, "".join(lines))
-            write_whole(folder / RUN_FILE, json.dumps(self.config, indent=2, sort_keys=True) + "\n")
+            write_json(folder / RUN_FILE, self.config, sort_keys=True)
 
     def decorate(self, folder: Path) -> None:
         """Write the picture that the run's command writes."""

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from roboxim_core.episode import EpisodeInfo
 from roboxim_core.errors import ConfigError
 from roboxim_core.user_folders import expanded
-from roboxim_core.whole_files import write_whole
+from roboxim_core.whole_files import write_json, write_whole
 from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_policies.learning.config import LearningConfig
 from roboxim_recorder.bag import BagReader
@@ -136,10 +136,8 @@ def pretrain(
     packed = out / f"{name}.npz"
     content = policy_only(training.checkpoint, pretraining)
     if not packed.is_file() or packed.read_bytes() != content:
-        scratch = packed.with_name(f".{packed.name}.tmp")
-        scratch.write_bytes(content)
-        scratch.replace(packed)
-    write_whole(out / "exposure.json", json.dumps(pretraining, indent=2) + "\n")
+        write_whole(packed, content)
+    write_json(out / "exposure.json", pretraining)
     return PretrainResult(checkpoint=packed, exposure=exposure, training=training)
 
 

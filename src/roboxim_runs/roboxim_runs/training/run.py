@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping
 from contextlib import nullcontext
@@ -17,7 +16,7 @@ from roboxim_core.config import from_plain, load_yaml, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.user_folders import expanded
-from roboxim_core.whole_files import write_whole
+from roboxim_core.whole_files import write_json, write_whole
 from roboxim_datasets.dataset import EXPORT_FILE
 from roboxim_datasets.formats import open_dataset
 from roboxim_datasets.view import encoded
@@ -188,7 +187,7 @@ def name_dataset(dataset: Path, training: Path) -> None:
     file = folder / EXPORT_FILE
     facts = read_json_object(file) if file.is_file() else {}
     named = {"identity": facts.get("identity", ""), "cells": facts.get("cells", {})}
-    write_whole(training / TRAINED_ON, json.dumps(named, indent=2) + "\n")
+    write_json(training / TRAINED_ON, named)
 
 
 def read_config(

@@ -6,7 +6,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.commands.answers._policies import policy_options
-from roboxim_cli.options import option
+from roboxim_cli.options import option, print_json
 
 
 @strict.command(begins="comparing policies")
@@ -33,7 +33,6 @@ def command(
     """
     import contextlib
     import dataclasses
-    import json
 
     from roboxim_cli.commands.answers._policies import chosen
     from roboxim_cli.options import parse_size
@@ -88,7 +87,7 @@ def command(
     sentences = summary((one.name, two.name), found)
     if as_json:
         scenes = [dataclasses.asdict(scene) for scene in found]
-        click.echo(json.dumps({"scenes": scenes, "sentences": sentences, "runs": runs}, indent=2))
+        print_json({"scenes": scenes, "sentences": sentences, "runs": runs})
         return
     for sentence in sentences:
         click.echo(sentence)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.options import option
+from roboxim_cli.options import option, print_json
 
 
 @strict.command(begins="comparing benchmarks")
@@ -35,7 +35,6 @@ def command(
     or experiments, or cards. Policies are matched by name; those of an experiment are CONDITION and CONDITION.R.
     """
     import dataclasses
-    import json
     import math
 
     from roboxim_core.errors import ConfigError
@@ -51,7 +50,7 @@ def command(
     if as_json:
         data = dataclasses.asdict(found) | {"needed": None if needed is None else dataclasses.asdict(needed)}
         data["pearson"]["value"] = None if math.isnan(found.pearson.value) else found.pearson.value
-        click.echo(json.dumps({**data, "sentences": found_sentences}, indent=2))
+        print_json({**data, "sentences": found_sentences})
         return
     width = max(len(policy.name) for policy in found.policies)
     click.echo(f"{'':<{width}}  {both[0]:>12}  {both[1]:>12}")

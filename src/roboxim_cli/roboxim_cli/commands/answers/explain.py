@@ -8,6 +8,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.commands.answers._policies import policy_options
+from roboxim_cli.options import print_json
 
 
 @strict.command(begins="looking for causes")
@@ -35,7 +36,6 @@ def command(
     camera, light, surfaces, physics, words, start, place; those that are nominal in the episode are left out.
     """
     import dataclasses
-    import json
 
     from roboxim_cli.commands.answers._policies import chosen
     from roboxim_eval.answers.causes import Tally
@@ -56,7 +56,7 @@ def command(
         found = explain(bench, info, bench.actor(policies[0]), config, on_tally=print_tally)
         runs = bench.runs
     if as_json:
-        click.echo(json.dumps(dataclasses.asdict(found) | {"sentence": found.sentence, "runs": runs}, indent=2))
+        print_json(dataclasses.asdict(found) | {"sentence": found.sentence, "runs": runs})
         return
     click.echo(found.sentence)
     click.echo(f"{runs} runs")

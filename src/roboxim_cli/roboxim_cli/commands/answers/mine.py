@@ -8,7 +8,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.commands.answers._policies import policy_options
-from roboxim_cli.options import option
+from roboxim_cli.options import option, print_json
 
 
 @strict.command(begins="looking for failures")
@@ -44,9 +44,6 @@ def command(
     Each range {lower, upper} of the task is a factor. A failure counts only if the expert solves the scene. A region
     counts only if fresh scenes confirm it. With --out, the same command continues a search that was stopped.
     """
-    import dataclasses
-    import json
-
     from roboxim_cli.commands.answers._policies import chosen
     from roboxim_cli.options import parse_size
     from roboxim_core.episode import RunConfig
@@ -71,7 +68,7 @@ def command(
     with TryBench() as bench:
         found = mine(bench, bench.actor(one), config, out=out, on_rollout=print_rollout)
     if as_json:
-        click.echo(json.dumps(dataclasses.asdict(found), indent=2))
+        print_json(found)
         return
     for region in found.regions:
         (a, n), (b, m) = region.inside, region.outside

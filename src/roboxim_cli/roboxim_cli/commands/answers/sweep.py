@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.options import option
+from roboxim_cli.options import option, print_json
 
 
 @strict.command(begins="sweeping")
@@ -49,7 +49,7 @@ def command(checkpoints: tuple[Path, ...], first: int, fresh: int, size: Any, as
     with EventPrinter() as printer:
         result = sweep(policies, config, HalvingConfig(first=first, fresh=fresh), on_event=printer)
     if as_json:
-        click.echo(json.dumps(json.loads((Path(config.out) / RESULT).read_text()), indent=2))
+        print_json(json.loads((Path(config.out) / RESULT).read_text()))
         return
     for sentence in sentences(result.choice, result.fresh):
         click.echo(sentence)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 import time
 from pathlib import Path
@@ -14,6 +13,7 @@ from roboxim_bringup.attach import attach_options
 from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
 from roboxim_cli.options import POSITIVE, option
+from roboxim_core.plain_data.shell import shell_line
 
 _bag = click.Path(exists=True, path_type=Path)
 
@@ -259,7 +259,7 @@ def record(topics: tuple[str, ...], out: Path, duration: float | None, run_id: s
     missing = [topic for topic in wanted if not recording.counts.get(topic)]
     click.echo(f"{sum(recording.counts.values())} messages in {out}")
     if not missing:
-        bag, dataset = shlex.quote(str(out)), shlex.quote(f"{out}-lerobot")
+        bag, dataset = shell_line(out), shell_line(f"{out}-lerobot")
         click.echo(f'next: roboxim dataset convert lerobot {bag} --instruction "what was done" --out {dataset}')
     if missing:
         raise ConfigError(f"no message on {', '.join(missing)}")

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import importlib
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.options import option, require_ending
+from roboxim_cli.options import option, print_json, require_ending
 from roboxim_core.whole_files import write_whole
 
 _PREFIX = "_dataset_"
@@ -111,7 +110,7 @@ def info(dataset: Path, card: bool, as_json: bool) -> None:
     opened = open_dataset(dataset)
     counts = cards.count(opened)
     if as_json:
-        click.echo(json.dumps(cards.summary_json(opened, counts), indent=2))
+        print_json(cards.summary_json(opened, counts))
     else:
         click.echo(cards.card(opened, counts) if card else cards.summary(opened, counts))
 

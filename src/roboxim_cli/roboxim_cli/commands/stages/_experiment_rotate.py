@@ -8,7 +8,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.named import Named
-from roboxim_cli.options import option
+from roboxim_cli.options import option, print_json
 
 
 @strict.command("rotate", begins="planning the parts")
@@ -29,15 +29,14 @@ def rotate(name: str, scale: str, trainer: str, sets: int, held_out: int, replic
 
     The sets are disjoint. Each holds out the levels of every factor equally often, and leaves every level to be seen.
     """
-    import shlex
-
+    from roboxim_core.plain_data.shell import shell_line
     from roboxim_runs.experiments.files import load_experiment, run_words, write_rotated
 
     paths = write_rotated(name, scale, trainer, sets, held_out, replicates, out)
     for path in paths:
         click.echo(f"wrote {path}")
     run = run_words(paths[-1], load_experiment(str(paths[0])), trainer, "benchmark")
-    click.echo(f"next: ROBOXIM_CONFIG_PATH={shlex.quote(str(out))} {run}")
+    click.echo(f"next: ROBOXIM_CONFIG_PATH={shell_line(out)} {run}")
     click.echo("then: roboxim experiment join OUT/*/card.json")
 
 
@@ -46,8 +45,6 @@ def rotate(name: str, scale: str, trainer: str, sets: int, held_out: int, replic
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def join(cards: tuple[Path, ...], as_json: bool) -> None:
     """Print the scores of a rotated design from the cards of its parts, with both intervals of the gap."""
-    import json
-
     from roboxim_eval.experiments.card_checks import plain_interval
     from roboxim_eval.experiments.rotation import joined
     from roboxim_runs.experiments.report import stored_card
@@ -64,7 +61,7 @@ def join(cards: tuple[Path, ...], as_json: bool) -> None:
             "gap_cells_fixed": found.gap_of_these_cells,
         }  # fmt: skip
         sizes = {"sets": found.sets, "cells": found.cells, "trainings": found.trainings, "p": found.p_value}
-        click.echo(json.dumps(sizes | {key: plain_interval(one) for key, one in intervals.items()}, indent=2))
+        print_json(sizes | {key: plain_interval(one) for key, one in intervals.items()})
         return
     click.echo(
         f"{found.sets} held-out sets of {found.cells} cell{'s' * (found.cells != 1)}, {found.trainings} "

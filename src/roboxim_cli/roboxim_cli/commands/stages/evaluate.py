@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import click
 from roboxim_cli import strict
 from roboxim_cli.named import Named
 from roboxim_cli.options import episode_options, film_options
+from roboxim_core.plain_data.shell import shell_line
 
 
 @strict.command(begins="evaluating")
@@ -109,11 +109,11 @@ def command(
     chosen = choose_policies(policies, checkpoints, policy_options)  # before the slow imports
 
     from roboxim_cli.printer import EventPrinter
-    from roboxim_runs.evaluation.run import EvaluationConfig, command_line, evaluate
+    from roboxim_runs.evaluation.run import EvaluationConfig, evaluate
 
     config = EvaluationConfig(
         policies=chosen, size=image_size, policy_timeout_s=policy_timeout, ensemble=ensemble or "",
-        late_rows=late_rows or "", command=command_line(sys.argv[1:]), film=parse_films(options), **options,
+        late_rows=late_rows or "", command=shell_line("roboxim", *sys.argv[1:]), film=parse_films(options), **options,
     )  # fmt: skip
     runs_on = make_executor(executor, address, resources, config.workers)
     serves = make_policy_servers(executor, address, policy_resources, policy_servers, Path(config.out))
@@ -136,5 +136,5 @@ def command(
     click.echo(f"report: {result.report}")
     failed = next((one.index for one in result.results if one.outcome == "failure" and one.bag), None)
     if failed is not None:
-        click.echo(f"why episode {failed} failed: roboxim show {shlex.quote(str(config.out))} {failed}")
+        click.echo(f"why episode {failed} failed: {shell_line('roboxim', 'show', config.out, failed)}")
     result.require_measured()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,8 @@ import click
 from roboxim_cli import strict
 from roboxim_cli.commands.stages import _experiment_calibrate, _experiment_collect, _experiment_rotate
 from roboxim_cli.named import Named
-from roboxim_cli.options import experiment_options, experiment_run, option
+from roboxim_cli.options import experiment_options, experiment_run, option, print_json
+from roboxim_core.plain_data.shell import shell_line
 from roboxim_core.whole_files import write_whole
 
 if TYPE_CHECKING:
@@ -84,8 +84,6 @@ def plan(
     roboxim experiment plan skill_object --scale laptop --trainings 2
     roboxim experiment plan --benchmark transfer --scale night
     """
-    import json
-
     from roboxim_core.errors import ConfigError
     from roboxim_runs.experiments.calibration.rates import stored_rates
     from roboxim_runs.experiments.files import (
@@ -133,7 +131,7 @@ def plan(
     designs = {key: checked_design(key, config, trainer) for key, config in configs.items()}
     if as_json:
         plans = [plan_data(key, scale, design, rates_of[key], trainings) for key, design in designs.items()]
-        click.echo(json.dumps(plans, indent=2))
+        print_json(plans)
     else:
         for key, design in designs.items():
             click.echo("\n".join(plan_lines(key, scale, design, rates_of[key], trainings)))
@@ -196,8 +194,8 @@ def run(name: str, out: Path, shard: str, trained: Path | None, **options: Any) 
         result = run_experiment(config, on_event=printer, executor=runs_on, training_executor=trains_on)
     if shard:
         click.echo(f"shard {shard} has its episodes of: {', '.join(result.finished) or 'no stage'}")
-        shards, whole = shlex.quote(str(out)), shlex.quote(str(trained)) if trained else "WHOLE"
-        click.echo(f"next, when all shards are there: roboxim merge {shards} ... --out {whole}")
+        merge = shell_line("roboxim", "merge", out, "...", "--out", trained or "WHOLE")
+        click.echo(f"next, when all shards are there: {merge}")
         return
     click.echo(f"{len(result.finished)} of {len(result.finished) + len(result.missing)} stages are finished in {out}")
     if result.card is None:
@@ -394,7 +392,7 @@ def unpack_run(file: Path, out: Path) -> None:
     from roboxim_runs.experiments.pack import unpack
 
     found = unpack(file, out)
-    click.echo(f"{found.files} files in {found.path}; see: roboxim experiment report {shlex.quote(str(found.path))}")
+    click.echo(f"{found.files} files in {found.path}; see: {shell_line('roboxim', 'experiment', 'report', found.path)}")
 
 
 command.add_command(_experiment_calibrate.command)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.options import is_given
+from roboxim_core.plain_data.shell import shell_line
 
 HINT = "LeRobot 3.0; openpi and GR00T read 2.1 with other columns: --for openpi, --for groot"
 
@@ -136,7 +136,7 @@ def _export(
     if store:
         click.echo(f"{store}: {upload_dataset(out, store, overwrite=overwrite)} files uploaded and compared")
     if name == "rlds":
-        click.echo(f"next: roboxim train bc {shlex.quote(str(out))}")
+        click.echo(f"next: roboxim train bc {shell_line(out)}")
 
 
 def _camera_keys(words: tuple[str, ...]) -> dict[str, str]:

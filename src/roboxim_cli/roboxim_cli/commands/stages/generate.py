@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from typing import Any
 
 import click
 
 from roboxim_cli import strict
 from roboxim_cli.options import episode_options
+from roboxim_core.plain_data.shell import shell_line
 
 
 @strict.command(begins="generating")
@@ -64,5 +64,5 @@ def command(size: str, executor: str, address: str, resources: str, **options: A
     for line in failures(result.results):
         click.echo(f"  {line}")
     result.require_any()
-    source, dataset = (shlex.quote(str(path)) for path in (config.store or result.out, f"{result.out}-rlds"))
-    click.echo(f"next: roboxim export rlds {source} --out {dataset}")
+    source, dataset = config.store or result.out, f"{result.out}-rlds"
+    click.echo("next: " + shell_line("roboxim", "export", "rlds", source, "--out", dataset))

@@ -44,12 +44,11 @@ def command(
     Ctrl-C stops; the same command continues. OUT/NAME.npz has the weights, and what was demonstrated:
     OUT/exposure.json counts skills, objects, looks and cameras in the recorded episodes.
     """
-    import shlex
-
     from roboxim_bringup.process import keep_freed_memory
     from roboxim_cli.field_options import training_fields
     from roboxim_cli.options import parse_size
     from roboxim_cli.printer import EventPrinter
+    from roboxim_core.plain_data.shell import shell_line
     from roboxim_runs.training.pretraining import PretrainConfig, pretrain
     from roboxim_runs.training.run import read_config
 
@@ -64,4 +63,4 @@ def command(
         f"{result.checkpoint}: {exposure['episodes']} demonstrations of {len(exposure['skills'])} skills with "
         f"{len(exposure['objects'])} objects in {len(exposure['looks'])} looks; {result.training.steps} steps"
     )
-    click.echo(f"next: roboxim train {family} DATASET --from {shlex.quote(str(result.checkpoint))} --steps 1000")
+    click.echo(f"next: roboxim train {family} DATASET --from {shell_line(result.checkpoint)} --steps 1000")

@@ -104,11 +104,10 @@ def _train(
     family: str, dataset: Path, out: Path, given: dict[str, int | None], start: Path | None, config: Path | None,
     changes: tuple[str, ...], until: int | None, episodes: int,
 ) -> None:  # fmt: skip
-    import shlex
-
     from roboxim_bringup.process import keep_freed_memory
     from roboxim_cli.field_options import training_fields
     from roboxim_cli.printer import EventPrinter
+    from roboxim_core.plain_data.shell import shell_line
     from roboxim_runs.training.run import read_config, train_policy
 
     settings = read_config(family, config, training_fields(changes, **given), start=start)
@@ -128,4 +127,4 @@ def _train(
         click.echo(f"{result.checkpoint} has {result.steps} of {settings.steps} steps already{reached}; nothing to do")
     if result.chosen:
         click.echo(f"the policy has the weights of {result.chosen}")
-    click.echo(f"next: roboxim evaluate --policy {family} --checkpoint {shlex.quote(str(out))} --policy random")
+    click.echo(f"next: roboxim evaluate --policy {family} --checkpoint {shell_line(out)} --policy random")

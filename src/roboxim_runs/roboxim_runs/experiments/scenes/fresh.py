@@ -7,7 +7,6 @@ line in ``stages.jsonl`` states the commitment that existed when the training en
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json
-from roboxim_core.whole_files import write_whole
+from roboxim_core.whole_files import write_json
 from roboxim_eval.experiments import ExperimentConfig
 from roboxim_eval.experiments.card import Card, CardFresh
 from roboxim_eval.experiments.card_checks import check_card
@@ -67,7 +66,7 @@ def store_seed(seed: SceneSeed, out: Path) -> None:
     """
     require_no_other_seed(seed, out)
     if not (out / SEED_FILE).exists():
-        write_whole(out / SEED_FILE, json.dumps(to_plain(seed), indent=2) + "\n")
+        write_json(out / SEED_FILE, to_plain(seed))
 
 
 def in_scenes_of(config: ExperimentConfig, seed: int) -> ExperimentConfig:
