@@ -68,6 +68,20 @@ def test_the_expert_solves_it_at_its_first_try_and_the_bag_agrees(skill, run, fo
     assert again.success
 
 
+def test_noise_on_descents_ends_before_the_fingers_are_beside_the_object(run, folder):
+    def lowest_disturbed_m(index, share):
+        noise = {"noise_translation_m": 0.006, "noise_rotation_rad": 0.02, "noise_descents": share}
+        result = run("pick_up", index, **noise)
+        assert (result.outcome, result.recovered) == ("success", False), result
+        ticks = list(BagReader(folder / result.bag).ticks(cameras=()))
+        height = [tick.state.robot.pose_tcp_commanded.position[2] for tick in ticks]
+        closes = next(i for i, tick in enumerate(ticks) if i and tick.step.action_label[6] == 0.0)
+        return min(height[i] for i in range(1, closes) if ticks[i].step.disturbance) - height[closes]
+
+    assert lowest_disturbed_m(1, 0.0) > 0.07
+    assert 0.03 < lowest_disturbed_m(2, 1.0) < 0.07
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("skill", SKILL_NAMES)
 def test_doing_nothing_does_not_solve_it(skill, run):

@@ -19,6 +19,8 @@ from roboxim_core.state import StateRecord
 RGBImage = npt.NDArray[np.uint8]
 FREE = "free"
 """Phase of actions whose exact path does not matter: noise may be injected."""
+DESCENT = "descent"
+"""Phase of actions on the way to a grasp or a place, as long as the tool cannot touch anything: less noise may be."""
 RECOVERY = "recovery"
 """Phase of actions of a further try, after the first one failed: the episode is not a first-try success."""
 

@@ -191,6 +191,25 @@ def test_noise_only_where_the_actor_is_free_and_the_label_stays_clean():
     assert fine.action_label == fine.action_executed
 
 
+def test_noise_on_a_descent_is_the_share_that_the_run_wants():
+    action = np.array([[1.0, 0, 0, 0, 0, 0, 1.0]], np.float32)
+
+    def first(share: float):
+        phases = deque(["descent", "fine", "fine"])
+        actor = Actor(lambda window: ActionChunk(actions=action, phases=(phases.popleft(),)))
+        world = World(goal=2.5)
+        run(world, actor, noise_translation_m=0.01, noise_descents=share).run_index(0)
+        return world.steps[1]
+
+    none, half, whole = first(0.0), first(0.5), first(1.0)
+    assert (none.disturbance, half.disturbance, whole.disturbance) == (False, True, True)
+    assert none.action_executed == none.action_label
+    offsets = [np.subtract(step.action_executed, step.action_label)[:6] for step in (half, whole)]
+    np.testing.assert_allclose(2 * offsets[0], offsets[1], atol=1e-6)
+    with pytest.raises(InvalidRequestError, match="noise_descents.*1"):
+        first(1.5)
+
+
 def test_size_that_a_policy_states_precedes_the_runs():
     world = World()
     stated = CameraRequirement(name="workspace", width=320, height=240)

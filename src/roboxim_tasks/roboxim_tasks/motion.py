@@ -31,6 +31,8 @@ class Stage:
     """Commanded opening, 1 = open, 0 = closed."""
     free: bool = False
     """Whether any path will do: the expert may then avoid obstacles, and noise may be injected."""
+    exact_m: float = math.inf
+    """Distance from ``pose`` [m] within which the exact path matters; farther away some noise may be injected."""
     speed: float = 1.0
     """Fraction of the largest speed of the tool centre point."""
     duration_s: float = 0.0

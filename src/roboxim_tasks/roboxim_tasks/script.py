@@ -19,6 +19,7 @@ Non-obvious: a script starts from the present scene, so that one executor serves
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +46,10 @@ LIFT_M = 0.10
 SLOW = 0.6
 GRIP_S = 0.3
 RETREAT_M = 0.08
+EXACT_GRASP_M = 0.05
+"""Distance from a grasp within which the fingers may be beside the object [m]."""
+EXACT_PLACE_M = 0.03
+"""Distance from a place within which the held object may touch what it is put on [m]."""
 WITHDRAW_M = 0.10
 CARRY_MARGIN_M = 0.03
 CORRIDOR_MARGIN_M = 0.02
@@ -107,6 +112,7 @@ class Script:
         speed: float = 1.0,
         touching: Touching = (),
         lifts: bool = False,
+        exact_m: float = math.inf,
     ) -> None:
         """Go to a pose in a straight line.
 
@@ -117,8 +123,9 @@ class Script:
             speed: Fraction of the largest speed.
             touching: Pairs of bodies that may touch.
             lifts: Whether the stage lifts the held object off its support.
+            exact_m: Distance from the goal within which the exact path matters [m].
         """
-        self._add(Stage(name=name, pose=pose, free=free, speed=speed, touching=touching, lifts=lifts))
+        self._add(Stage(name=name, pose=pose, free=free, speed=speed, touching=touching, lifts=lifts, exact_m=exact_m))
         self.pose = pose
 
     def shift(self, vector: Vec3, *, name: str, speed: float = 1.0, touching: Touching = ()) -> None:
@@ -148,7 +155,8 @@ class Script:
         if grasp is not None and self.held != entity:
             self.opening, self.release_opening = grasp.opening, grasp.release_opening
             self.move(retreated(grasp.pose, APPROACH_M), name="approach", free=True)
-            self.move(grasp.pose, name="descend", speed=SLOW, touching=fingers_touch(self.scene, entity))
+            touching = fingers_touch(self.scene, entity)
+            self.move(grasp.pose, name="descend", speed=SLOW, touching=touching, exact_m=EXACT_GRASP_M)
             self.grip(0.0, name="close")
             self.held_in_tcp = grasp.pose.inverse() @ self.pose_of(entity)
             self.held = entity
@@ -169,7 +177,7 @@ class Script:
         """
         goal = shifted(pose_object @ self.held_in_tcp.inverse(), drop_m)
         self.carry(goal)
-        self.move(goal, name="lower", speed=SLOW, touching=((self.held, onto),))
+        self.move(goal, name="lower", speed=SLOW, touching=((self.held, onto),), exact_m=EXACT_PLACE_M)
         self.release(pose_object)
 
     def carry(self, goal: Pose) -> None:

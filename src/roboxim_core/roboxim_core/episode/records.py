@@ -34,6 +34,7 @@ LIMITS = {
     "policy_timeout_s": limits.POLICY_TIMEOUT_S,
     "noise_translation_m": 1.0,
     "noise_rotation_rad": 1.0,
+    "noise_descents": 1.0,
 }
 """Largest values of the fields of a run's configuration, by name."""
 
@@ -98,6 +99,8 @@ class RunConfig:
     """Standard deviation of the noise injected into free motions, per axis and tick [m]."""
     noise_rotation_rad: float = 0.0
     """The same for rotations [rad]."""
+    noise_descents: float = 0.0
+    """Share of that noise on the way to a grasp or a place, while the tool cannot touch anything, 0..1."""
     output_dir: str = ""
     """Folder for bags, absolute; empty: record nothing."""
 

@@ -17,6 +17,7 @@ from roboxim_core.episode.start import start_refusal
 from roboxim_core.errors import ErrorCode, EvaluationError, InvalidRequestError, PolicyError, RoboximError, one_of
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.policies import (
+    DESCENT,
     FREE,
     RECOVERY,
     ActionChunk,
@@ -414,9 +415,10 @@ class _Episode:
     def _tick(self, chosen: TickAction) -> None:
         label, phase = chosen.action, chosen.phase
         executed = label
-        noisy = phase == FREE and (self.config.noise_translation_m > 0 or self.config.noise_rotation_rad > 0)
+        share = {FREE: 1.0, DESCENT: self.config.noise_descents}.get(phase, 0.0)
+        scale = share * np.array([self.config.noise_translation_m] * 3 + [self.config.noise_rotation_rad] * 3 + [0.0])
+        noisy = bool(scale.any())
         if noisy:
-            scale = [self.config.noise_translation_m] * 3 + [self.config.noise_rotation_rad] * 3 + [0.0]
             executed = (label + self.noise_rng.normal(size=7) * scale).astype(np.float32)
         self._advance(executed)
         self.counts["steps"] += 1

@@ -73,10 +73,15 @@ class DatasetConfig:
 class NoiseConfig:
     """Noise in the free motions of demonstrations: they show the policy how to return to the path."""
 
+    LEFT_OUT_AT_DEFAULT: ClassVar[tuple[str, ...]] = ("descents",)
+    """Later fields, see `roboxim_core.config.LEFT_OUT`: cards without them keep their hashes."""
+
     translation_mm: float = 6.0
     """Standard deviation per axis and tick [mm]."""
     rotation_mrad: float = 20.0
     """Standard deviation per axis and tick [mrad]."""
+    descents: float = 0.0
+    """Share of this noise on the way to a grasp or a place, while the tool cannot touch anything, 0..1."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -84,7 +89,7 @@ class NoiseConfig:
         Raises:
             ConfigError: When one is out of range.
         """
-        for name, maximum in (("translation_mm", 50.0), ("rotation_mrad", 200.0)):
+        for name, maximum in (("translation_mm", 50.0), ("rotation_mrad", 200.0), ("descents", 1.0)):
             if not 0.0 <= getattr(self, name) <= maximum:
                 raise ConfigError(f"{name} must be from 0 to {maximum:g}, got {getattr(self, name):g}")
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
-from roboxim_core.config import digest
+from roboxim_core.config import digest, to_plain
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments.cells import Cell, cells_of, chosen, mix_of
 from roboxim_eval.experiments.config import DatasetConfig, ExperimentConfig
@@ -321,7 +321,7 @@ def stages_of(design: Design) -> tuple[Stage, ...]:
         add(
             "generate", f"{replicate}", (), mix=mix_of(config, design.demonstrations),
             episodes=sum(design.demonstrations.values()), seed=DEMONSTRATION_SEED + replicate, size=config.image_size,
-            noise=asdict(config.noise),
+            noise=to_plain(config.noise),
         )  # fmt: skip
         exports = []
         for name, counts in design.datasets.items():

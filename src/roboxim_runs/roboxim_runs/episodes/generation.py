@@ -40,6 +40,8 @@ class GenerationConfig(EpisodesConfig):
     """Standard deviation of the noise in free motions, per axis and tick [mm]."""
     noise_mrad: float = 10.0
     """Standard deviation of the rotation noise, per axis and tick [mrad]."""
+    noise_descents: float = 0.0
+    """Share of this noise on the way to a grasp or a place, while the tool cannot touch anything, 0..1."""
     first_try: bool = False
     """Whether to draw an index again if its demonstration needed a second grasp. Exports leave such demonstrations out,
     so that without this a dataset may have fewer episodes in some cells of a mix than in others."""
@@ -55,6 +57,7 @@ class GenerationConfig(EpisodesConfig):
         require_range("max_attempts", self.max_attempts, 1, ATTEMPTS)
         require_range("noise_mm", self.noise_mm, 0, 1000)
         require_range("noise_mrad", self.noise_mrad, 0, 1000)
+        require_range("noise_descents", self.noise_descents, 0, 1)
 
     def job(self) -> EpisodesJob:
         """Return the episodes to run.
@@ -69,6 +72,7 @@ class GenerationConfig(EpisodesConfig):
             text, purpose="demo", actor="expert",
             keep="first_try" if self.first_try else "successful", max_attempts=self.max_attempts,
             noise_translation_m=self.noise_mm / 1000, noise_rotation_rad=self.noise_mrad / 1000,
+            noise_descents=self.noise_descents,
         )  # fmt: skip
         return EpisodesJob(
             config=config, episodes=self.episodes, shard=Shard.parse(self.shard), workers=self.workers,

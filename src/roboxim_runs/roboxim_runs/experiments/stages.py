@@ -131,6 +131,7 @@ class Stages:
                 seed=stage.inputs["seed"], size=self._size, first_try=True, workers=self.workers,
                 renderer=self.renderer, shard=self.shard,
                 noise_mm=noise["translation_mm"], noise_mrad=noise["rotation_mrad"],
+                noise_descents=noise.get("descents", 0.0),
             ),
             executor=self._episodes(self._folder(stage.name)), **self._options,
         )  # fmt: skip

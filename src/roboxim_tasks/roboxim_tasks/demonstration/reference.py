@@ -14,12 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roboxim_core.actions import ActionSemantics
+from roboxim_core.policies import DESCENT, FREE
 from roboxim_core.poses import Array, Pose, distance
 from roboxim_tasks.motion import Stage
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
+FINE = "fine"
+"""Phase of actions whose exact path matters."""
 _SHARE_OF_LIMIT = 0.99
 """Share of the action limits per tick that the expert uses, so that rounding errors never clip an action."""
 
@@ -66,7 +69,7 @@ class ReferencePoint:
     stage: int
     """Index of the stage."""
     phase: str
-    """``free`` where the actor may inject noise, else ``fine``."""
+    """``free`` or ``descent``, where noise may be injected, else ``fine``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,13 +106,18 @@ def make_reference(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_h
         for pose, offset in zip(poses, stages, strict=True):
             stage = legs[first + offset].stage
             points.append(
-                ReferencePoint(
-                    pose=pose, opening=stage.opening, stage=first + offset, phase="free" if stage.free else "fine"
-                )
+                ReferencePoint(pose=pose, opening=stage.opening, stage=first + offset, phase=_phase(stage, pose))
             )
         here = poses[-1] if poses else here
         first = last + 1
     return points
+
+
+def _phase(stage: Stage, pose: Pose) -> str:
+    """Return the phase of a stage's action towards a pose."""
+    if stage.free or stage.pose is None:
+        return FREE if stage.free else FINE
+    return DESCENT if distance(pose, stage.pose)[0] > stage.exact_m else FINE
 
 
 def _moves(start: Pose, legs: Sequence[Leg], config: SpeedConfig, rate_hz: float) -> tuple[list[Pose], list[int]]:

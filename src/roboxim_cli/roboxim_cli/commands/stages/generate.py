@@ -35,6 +35,14 @@ from roboxim_core.plain_data.shell import shell_line
     show_default=True,
     help="Standard deviation of the rotation noise [mrad].",
 )
+@click.option(
+    "--noise-descents",
+    type=click.FloatRange(0, 1),
+    default=0.0,
+    show_default=True,
+    metavar="SHARE",
+    help="Share of this noise on the way to a grasp or a place, while the tool cannot touch anything.",
+)
 def command(size: str, executor: str, address: str, resources: str, **options: Any) -> None:
     r"""Generate demonstrations of a task with the expert; each becomes a bag in OUT/episodes.
 
