@@ -9,7 +9,7 @@ are further values that no trainer reads; their names start with ``sim.``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -205,7 +205,7 @@ class Episode:
         return self.length
 
     def steps(
-        self, cameras: Sequence[str] | None = None, *, depth: Sequence[str] = (), segmentation: Sequence[str] = ()
+        self, cameras: Collection[str] | None = None, *, depth: Collection[str] = (), segmentation: Collection[str] = ()
     ) -> Iterator[Step]:
         """Yield the steps in order.
 
@@ -251,7 +251,7 @@ class Episode:
             ErrorCode.BAG_DAMAGED,
         )
 
-    def _require(self, names: Sequence[str], have: Iterable[str], what: str) -> None:
+    def _require(self, names: Iterable[str], have: Iterable[str], what: str) -> None:
         for name in names:
             if name not in have:
                 raise InvalidRequestError(f"episode '{self.episode_id}' has no {what} '{name}'; {one_of(have, name)}")

@@ -30,18 +30,19 @@ def graspable(context: ResetContext, role: str, lift_m: float = LIFT_M) -> Const
     """Return the constraint that the arm can execute a grasp of a role's object, from approach to lift."""
     entity, one_jaw = context.task.objects[role].entity, context.arm.model.gripper.one_jaw
 
-    def holds(scene: SceneSpec) -> bool:
+    def grasps_of(scene: SceneSpec) -> tuple[Pose, Sequence[Pose]]:
+        """Return the object's pose in the robot's base, and its grasps there."""
         spec = scene.entity(entity)
         home = context.arm.fk(context.arm.model.home)
         pose_object = scene.robot.pose.inverse() @ spec.pose
-        grasps = grasp_poses(context.library.entity_model(spec), pose_object, home, one_jaw=one_jaw)
+        return pose_object, grasp_poses(context.library.entity_model(spec), pose_object, home, one_jaw=one_jaw)
+
+    def holds(scene: SceneSpec) -> bool:
+        _, grasps = grasps_of(scene)
         return any(reaches(context, retreated(g, APPROACH_M), g, shifted(g, lift_m)) for g in grasps)
 
     def why(scene: SceneSpec) -> str:
-        spec = scene.entity(entity)
-        home = context.arm.fk(context.arm.model.home)
-        pose_object = scene.robot.pose.inverse() @ spec.pose
-        grasps = grasp_poses(context.library.entity_model(spec), pose_object, home, one_jaw=one_jaw)
+        pose_object, grasps = grasps_of(scene)
         missing = [
             max(context.arm.ik_near(p, context.arm.model.home).position_error_m for p in (g, shifted(g, lift_m)))
             for g in grasps

@@ -59,8 +59,13 @@ Touching = tuple[tuple[str, str], ...]
 class Script:
     """Builder of stages. All poses are in the robot's base frame unless a name says otherwise."""
 
-    def __init__(self, scene: ExpertScene) -> None:
-        """Start at the robot's present pose."""
+    def __init__(self, scene: ExpertScene, *, opening: float | None = None) -> None:
+        """Start at the robot's present pose.
+
+        Args:
+            scene: The scene.
+            opening: Opening of the gripper from the first stage on; None: open, or as it holds something.
+        """
         self.scene = scene
         self.pose = scene.pose_tcp
         """Pose of the tool centre point at the end of the stages so far."""
@@ -80,6 +85,8 @@ class Script:
         elif scene.recovering:
             self.grip(1.0, name="let_go")
             self.move(shifted(self.pose, WITHDRAW_M), name="withdraw", touching=((GRIPPER, ANYTHING),))
+        if opening is not None:
+            self.opening = opening
 
     @property
     def stages(self) -> tuple[Stage, ...]:

@@ -53,7 +53,6 @@ class Hdf5Writer:
         self._description, self.content = description, content_of(description)
         self._compression = None if options.compression == "none" else options.compression
         self._build = ResumableBuild(path, identity=identity, overwrite=overwrite, marker=FILE)
-        self._counts: dict[str, int] = {}
 
     def resumed(self, split: str) -> int:
         """Return the number of episodes of a split that an interrupted build has written."""
@@ -67,8 +66,7 @@ class Hdf5Writer:
             RecorderError: When it cannot be read.
             OSError: When the disk is full.
         """
-        number = self._counts.setdefault(split, self.resumed(split))
-        self._counts[split] += 1
+        number = self.resumed(split)
         piece = self._build.piece(split, number, "demo.hdf5")
         with new_file(piece) as file:
             self._write(file.create_group("demo"), episode)
@@ -104,11 +102,8 @@ class Hdf5Writer:
         rows: dict[str, list[Any]] = {key: [] for key in (*content.components, "rewards")}
         indices: list[int] = []
         at_hand: list[int] = []
-        for step in episode.steps(
-            list(content.cameras.values()),
-            depth=list(content.depth.values()),
-            segmentation=list(content.segmentation.values()),
-        ):
+        maps = {"depth": content.depth.values(), "segmentation": content.segmentation.values()}
+        for step in episode.steps(content.cameras.values(), **maps):
             for key, values in self._numbers(step).items():
                 rows[key].append(values)
             if episode.instructions:

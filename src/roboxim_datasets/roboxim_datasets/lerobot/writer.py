@@ -70,7 +70,6 @@ class LeRobotWriter:
         self.layout, self.content = layout, content
         self._build = ResumableBuild(path, identity=identity, overwrite=overwrite, marker=INFO_FILE)
         self._videos = VideoWriters(workers or min(4, os.cpu_count() or 1))
-        self._counts: dict[str, int] = {}
         self._under_way: deque[tuple[dict[str, Any], dict[str, Future[VideoFile]]]] = deque()
 
     def resumed(self, split: str) -> int:
@@ -85,16 +84,12 @@ class LeRobotWriter:
             RecorderError: When the episode cannot be read or a video not be written.
             OSError: When the disk is full.
         """
-        number = self._counts.setdefault(split, self.resumed(split))
-        self._counts[split] += 1
+        number = self.resumed(split) + sum(facts["split"] == split for facts, _ in self._under_way)
         videos = self._open_videos(split, number) if self.layout.codec else {}
         collected = _Collected(self.layout, self.content, videos)
         content = self.content
-        for step in episode.steps(
-            list(content.cameras.values()),
-            depth=list(content.depth.values()),
-            segmentation=list(content.segmentation.values()),
-        ):
+        maps = {"depth": content.depth.values(), "segmentation": content.segmentation.values()}
+        for step in episode.steps(content.cameras.values(), **maps):
             collected.add(step)
             collected.subtasks.append(episode.subtask(step))
         piece = collected.piece(episode)

@@ -26,21 +26,22 @@ from roboxim_core.poses import Pose
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.handling import way_by_fingers
-from roboxim_tasks.measures import (
-    Condition,
-    Conditions,
-    Measure,
-    above,
-    joint_value,
-    released,
-)
+from roboxim_tasks.measures import Conditions
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, shifted
 from roboxim_tasks.reach import reaches_in_lines, start_clear
 from roboxim_tasks.sampling.generators import GenerationContext
 from roboxim_tasks.script import SLOW, Script
 from roboxim_tasks.skills.base import Evaluator, Role, Skill, parameters_of, register
-from roboxim_tasks.skills.parts import APPROACH_M, DWELL_S, Part, beyond_travel, far_enough, generate_part_task, part_in
+from roboxim_tasks.skills.parts import (
+    APPROACH_M,
+    DWELL_S,
+    Part,
+    beyond_travel,
+    far_enough,
+    generate_part_task,
+    part_in,
+    turned_by_fingers,
+)
 
 HEIGHT_M = 0.026
 """Height of the tool centre point above the lever's pivot [m]."""
@@ -120,28 +121,15 @@ class FlipSwitch(Skill):
         entity = scene.task.objects["target"].entity
         at = lever_at(part_in(scene, entity, scene.model_of(entity).handles[0]))
         for yaw in at.headings(scene.pose_tcp):
-            script = Script(scene)
-            script.opening = 0.0
+            script = Script(scene, opening=0.0)
             pushed(script, entity, at, *at.push(yaw))
             yield script.stages
 
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
         """Judge: flipped by fingers, and let go."""
         parameters: FlipSwitchParameters = parameters_of(task, FlipSwitchParameters)
-        target, joint, least = task.objects["target"].entity, parameters.joint, above(parameters.flip_rad)
-        start = joint_value(initial, target, joint, "joint_positions")
-        turn = Measure(
-            name="turn_rad", of=lambda state: abs(joint_value(state, target, joint, "joint_positions") - start)
-        )
-        by_fingers = way_by_fingers(target, joint, parameters.fingers.split(), initial)
-        return Conditions(
-            (
-                Condition(name="flipped", measure=turn, least=least),
-                Condition(name="by_finger_alone", measure=by_fingers, least=least),
-                released(target),
-            ),
-            hold_s=parameters.hold_s,
-        )  # fmt: skip
+        flipped = turned_by_fingers(task, initial, "flipped", parameters.flip_rad)
+        return Conditions(flipped, hold_s=parameters.hold_s)
 
 
 @dataclass(frozen=True, kw_only=True)

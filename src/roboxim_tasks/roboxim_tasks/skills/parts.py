@@ -22,8 +22,8 @@ from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import EntitySpec, SceneSpec, TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.handling import let_go
-from roboxim_tasks.measures import Condition, Measure, joint_value, seconds_between, with_last
+from roboxim_tasks.handling import let_go, way_by_fingers
+from roboxim_tasks.measures import Condition, Measure, above, joint_value, released, seconds_between, with_last
 from roboxim_tasks.motion import ExpertScene, Stage, fingers_touch, retreated
 from roboxim_tasks.reach import reaches_in_lines
 from roboxim_tasks.sampling.generators import GenerationContext, generate_task
@@ -142,8 +142,7 @@ def part_in(scene: ExpertScene, entity: str, handle: Handle) -> Part:
 def operated(scene: ExpertScene, entity: str, part: Part, grasp: Pose, goal: float) -> tuple[Stage, ...]:
     """Return the stages that grasp a handle, move its part to a joint position [m or rad], let go and withdraw."""
     touching = fingers_touch(scene, entity)
-    script = Script(scene)
-    script.opening = GRASP_OPENING
+    script = Script(scene, opening=GRASP_OPENING)
     script.move(retreated(grasp, APPROACH_M), name="approach", free=True)
     script.move(grasp, name="reach", speed=SLOW, touching=touching)
     script.grip(0.0, name="close")
@@ -170,8 +169,7 @@ def pushed_shut(
     touching, shut = fingers_touch(scene, entity), part.joint.lower
     touch = moved_by(grasp, part.opening * FINGER_M)
     begin = moved_by(touch, part.opening * STANDOFF_M)
-    script = Script(scene)
-    script.opening = 0.0
+    script = Script(scene, opening=0.0)
     script.move(retreated(begin, APPROACH_M), name="approach", free=True)
     script.move(begin, name="reach")
     for position, pose in part.way(touch, shut - PRESS_M / part.lever_m):
@@ -343,6 +341,33 @@ def part_rests(task: TaskSpec, initial: StateRecord, goal: Condition, *, turns: 
         *let_go(entity),
         Condition(name="at_rest", measure=_joint_speed(entity, joint, name), most=limit),
     )  # fmt: skip
+
+
+def turned_by_fingers(
+    task: TaskSpec, initial: StateRecord, name: str, least_rad: float, direction: float = 0.0
+) -> tuple[Condition, ...]:
+    """Return the conditions of a part that fingers of the robot turn, and nothing else.
+
+    Args:
+        task: The task; its arguments name the part's joint and the fingers.
+        initial: State of tick 0.
+        name: Name of the first condition.
+        least_rad: Turn that the part must exceed [rad].
+        direction: Direction in which the turn counts, 1 or -1; 0: both.
+    """
+    target, joint = task.objects["target"].entity, str(task.arguments["joint"])
+    start, least = joint_value(initial, target, joint, "joint_positions"), above(least_rad)
+
+    def turn(state: StateRecord) -> float:
+        way = joint_value(state, target, joint, "joint_positions") - start
+        return way * direction if direction else abs(way)
+
+    by_fingers = way_by_fingers(target, joint, str(task.arguments["fingers"]).split(), initial, direction)
+    return (
+        Condition(name=name, measure=Measure(name="turn_rad", of=turn), least=least),
+        Condition(name="by_finger_alone", measure=by_fingers, least=least),
+        released(target),
+    )
 
 
 def _drawn(context: ResetContext, scene: SceneSpec, role: str) -> tuple[EntitySpec, Part]:

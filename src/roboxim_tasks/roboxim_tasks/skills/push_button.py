@@ -118,8 +118,7 @@ class PushButton(Skill):
         heading = math.atan2(now[1], now[0])
         for yaw in YAWS:
             pressed = pressed_pose(face, heading + yaw)
-            script = Script(scene)
-            script.opening = 0.0
+            script = Script(scene, opening=0.0)
             script.move(retreated(pressed, APPROACH_M), name="approach", free=True)
             script.move(pressed, name="press", speed=SLOW, touching=touching)
             script.wait(DWELL_S, name="dwell")

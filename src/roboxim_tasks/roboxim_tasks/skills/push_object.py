@@ -154,8 +154,7 @@ class PushObject(Skill):
         way = way_m(scene.model_of(entity), pose, toward)
         touching = fingers_touch(scene, entity)
         for begin, opening in pushing_poses(scene.model_of(entity), pose, toward):
-            script = Script(scene)
-            script.opening = opening
+            script = Script(scene, opening=opening)
             script.move(shifted(begin, APPROACH_M), name="approach", free=True)
             script.move(begin, name="descend", speed=SLOW)
             script.set_entity(entity, pose=_along(pose, toward, way))

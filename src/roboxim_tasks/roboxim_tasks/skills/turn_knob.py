@@ -20,8 +20,7 @@ from roboxim_core.models.description import ObjectModel
 from roboxim_core.specs import TaskSpec
 from roboxim_core.state import StateRecord
 from roboxim_tasks.components import Constraint, ResetContext
-from roboxim_tasks.handling import way_by_fingers
-from roboxim_tasks.measures import Condition, Conditions, Measure, above, joint_value, released
+from roboxim_tasks.measures import Conditions
 from roboxim_tasks.motion import ExpertScene, Stage
 from roboxim_tasks.reach import start_clear
 from roboxim_tasks.sampling.generators import GenerationContext
@@ -34,6 +33,7 @@ from roboxim_tasks.skills.parts import (
     handle_reachable,
     operated,
     part_in,
+    turned_by_fingers,
 )
 from roboxim_tasks.skills.rotate import DIRECTIONS
 
@@ -118,17 +118,6 @@ class TurnKnob(Skill):
     def evaluator(self, task: TaskSpec, initial: StateRecord) -> Evaluator:
         """Judge: turned by fingers, and let go."""
         parameters: TurnKnobParameters = parameters_of(task, TurnKnobParameters)
-        target, joint, sign = task.objects["target"].entity, parameters.joint, DIRECTIONS[parameters.direction]
-        start, least = joint_value(initial, target, joint, "joint_positions"), above(parameters.turn_rad)
-        turn = Measure(
-            name="turn_rad", of=lambda state: sign * (joint_value(state, target, joint, "joint_positions") - start)
-        )
-        by_fingers = way_by_fingers(target, joint, parameters.fingers.split(), initial, sign)
-        return Conditions(
-            (
-                Condition(name="turned", measure=turn, least=least),
-                Condition(name="by_finger_alone", measure=by_fingers, least=least),
-                released(target),
-            ),
-            hold_s=parameters.hold_s,
-        )
+        sign = DIRECTIONS[parameters.direction]
+        turned = turned_by_fingers(task, initial, "turned", parameters.turn_rad, sign)
+        return Conditions(turned, hold_s=parameters.hold_s)

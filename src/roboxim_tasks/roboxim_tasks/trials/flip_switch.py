@@ -46,8 +46,7 @@ def pushes(
     """
     at = lever_in(scene, entity)
     for yaw in at.headings(scene.pose_tcp):
-        script = Script(scene)
-        script.opening = opening
+        script = Script(scene, opening=opening)
         pushed(script, entity, at, at.tool(-BEGIN_M, yaw, up_m), at.tool(end_m, yaw, up_m), speed)
         yield script
 
@@ -102,8 +101,7 @@ def in_two_pushes(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Push it half-way, withdraw, and push it over."""
     at = lever_in(scene)
     for yaw in at.headings(scene.pose_tcp):
-        script = Script(scene)
-        script.opening = 0.0
+        script = Script(scene, opening=0.0)
         pushed(script, "target", at, at.tool(-BEGIN_M, yaw), at.tool(-0.017, yaw))
         begin, end = at.push(yaw)
         script.move(shifted(begin, APPROACH_M), name="return")

@@ -39,8 +39,7 @@ def both_buttons(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     face = button_face(scene.model_of(OTHER), scene.pose_of(OTHER))
     for yaw in YAWS:
         pressed = pressed_pose(face, yaw)
-        script = Script(scene)
-        script.opening = 0.0
+        script = Script(scene, opening=0.0)
         script.move(retreated(pressed, 0.08), name="approach")
         script.move(pressed, name="press", speed=0.6)
         script.wait(0.3)
@@ -56,8 +55,7 @@ def tapped(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     touching = fingers_touch(scene, "target")
     for yaw in YAWS:
         pressed = pressed_pose(face, yaw)
-        script = Script(scene)
-        script.opening = 0.0
+        script = Script(scene, opening=0.0)
         script.move(retreated(pressed, 0.08), name="approach", free=True)
         script.move(pressed, name="press", speed=1.5, touching=touching)
         script.wait(0.1)
@@ -78,8 +76,7 @@ def tip_it_over(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Push it near its top, so that it falls over in that direction."""
     toward = direction(scene)
     for begin, _ in pushing_poses(scene.model_of("target"), scene.pose_of("target"), toward):
-        script = Script(scene)
-        script.opening = 0.0
+        script = Script(scene, opening=0.0)
         high = shifted(begin, 0.085)
         script.move(shifted(high, 0.1), name="approach")
         script.move(high, name="descend")

@@ -85,8 +85,7 @@ def fast(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
     """Push it as fast as the hand goes, so that it slides on a little."""
     toward = direction(scene)
     for begin, opening in pushing_poses(scene.model_of("target"), scene.pose_of("target"), toward):
-        script = Script(scene)
-        script.opening = opening
+        script = Script(scene, opening=opening)
         touching = fingers_touch(scene, "target")
         script.move(shifted(begin, 0.1), name="approach", free=True)
         script.move(begin, name="descend", speed=0.6)
@@ -106,8 +105,7 @@ def from_its_top(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
 
         down = Rotation.from_euler("z", turn) * Rotation.from_euler("x", np.pi)
         top = Pose.from_arrays(np.add(now.position, (0, 0, model.size[2] - model.rest_height + 0.004)), down)
-        script = Script(scene)
-        script.opening = 0.0
+        script = Script(scene, opening=0.0)
         touching = fingers_touch(scene, "target")
         script.move(shifted(top, 0.1), name="approach", free=True)
         script.move(top, name="press", speed=0.3, touching=touching)
@@ -129,8 +127,7 @@ def _nudged(scene: ExpertScene, entity: str, way_m: float) -> Iterator[tuple[Sta
         shift = tuple((unit * way_m).tolist())
         for begin, opening in list(pushing_poses(scene.model_of(entity), scene.pose_of(entity), unit))[:4]:
             for grasp, goal in list(own_ways(scene))[:4]:
-                script = Script(scene)
-                script.opening = opening
+                script = Script(scene, opening=opening)
                 push(script, begin, way_m, entity=entity, toward=unit)
                 script.pick("target", grasp)
                 script.place(displaced(goal, *shift), onto=entity if entity == "support" else TABLE)

@@ -189,8 +189,7 @@ def pushes(
     part, joint = it.part, it.part.handle.joint
     side = np.array([-part.opening[1], part.opening[0], 0.0])
     for grasp in part.grasps():
-        script = Script(scene)
-        script.opening = 0.0
+        script = Script(scene, opening=0.0)
         touch = moved_by(grasp, part.opening * (FINGER_M - deeper_m) + side * sideways_m - (0.0, 0.0, down_m))
         begin = moved_by(touch, part.opening * STANDOFF_M)
         script.move(retreated(begin, APPROACH_M), name="approach", free=True)

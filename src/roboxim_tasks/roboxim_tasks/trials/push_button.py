@@ -27,8 +27,7 @@ def presses(scene: ExpertScene, entity: str, change: Pose, opening: float = 0.0)
     face = button_face(scene.model_of(entity), scene.pose_of(entity))
     for yaw in YAWS:
         pressed = pressed_pose(face, yaw) @ change
-        script = Script(scene)
-        script.opening = opening
+        script = Script(scene, opening=opening)
         script.move(retreated(pressed, APPROACH_M), name="approach", free=True)
         script.move(pressed, name="press", speed=0.6, touching=fingers_touch(scene, entity))
         script.wait(0.3)
@@ -67,8 +66,7 @@ def side_of_the_hand(scene: ExpertScene) -> Iterator[tuple[Stage, ...]]:
             level = Pose.from_arrays((0.0, 0.0, 0.0), turn * Rotation.from_euler("z", flat))
             x, y, z = face.position + level.rotation.apply((0.0, 0.0, back_m))
             pressed = Pose.from_arrays((x, y, z + half_m - DEPTH_M), level.rotation)
-            script = Script(scene)
-            script.opening = 0.0
+            script = Script(scene, opening=0.0)
             script.move(shifted(pressed, APPROACH_M), name="approach")
             script.move(pressed, name="press", speed=0.6)
             script.wait(0.3)

@@ -48,8 +48,7 @@ def push(script: Script, begin: Pose, length_m: float, *, entity: str = "target"
 def starts(scene: ExpertScene) -> Iterator[tuple[Script, Pose]]:
     """Yield scripts with the gripper's opening, each with a pose from which the expert would push."""
     for pose, opening in pushing_poses(scene.model_of("target"), scene.pose_of("target"), direction(scene)):
-        script = Script(scene)
-        script.opening = opening
+        script = Script(scene, opening=opening)
         yield script, pose
 
 
