@@ -47,6 +47,8 @@ class Explanation:
     """The episode without a change."""
     tried: tuple[Tally, ...]
     """Each change alone, then pairs."""
+    doubts: tuple[str, ...] = ()
+    """Why the runs may not be of the recorded failure, e.g. since another policy was given; a sentence each."""
 
     @property
     def sentence(self) -> str:
@@ -95,23 +97,26 @@ def not_yet_causes(group: Sequence[Tally], as_it_was: Tally) -> int:
     return len(group) - len(_causes(group, as_it_was))
 
 
-def explanation(as_it_was: Tally, singles: Sequence[Tally], pairs: Sequence[Tally] = ()) -> Explanation:
+def explanation(
+    as_it_was: Tally, singles: Sequence[Tally], pairs: Sequence[Tally] = (), *, doubts: tuple[str, ...] = ()
+) -> Explanation:
     """Return the conclusion from the runs of an episode.
 
     Args:
         as_it_was: The episode without a change.
         singles: Each change alone.
         pairs: A pair of changes, tried if no single change is a cause.
+        doubts: Why the runs may not be of the recorded failure.
     """
     tried = (*singles, *pairs)
     if 2 * as_it_was.successes > as_it_was.runs:
-        return Explanation(kind="chance", causes=(), as_it_was=as_it_was, tried=tried)
+        return Explanation(kind="chance", causes=(), as_it_was=as_it_was, tried=tried, doubts=doubts)
     for kind_of_one, kind_of_many, group in (("single", "several", singles), ("together", "together", pairs)):
         causes = _causes(group, as_it_was)
         if causes:
             kind: Kind = kind_of_one if len(causes) == 1 else kind_of_many  # type: ignore[assignment]
-            return Explanation(kind=kind, causes=causes, as_it_was=as_it_was, tried=tried)
-    return Explanation(kind="none", causes=(), as_it_was=as_it_was, tried=tried)
+            return Explanation(kind=kind, causes=causes, as_it_was=as_it_was, tried=tried, doubts=doubts)
+    return Explanation(kind="none", causes=(), as_it_was=as_it_was, tried=tried, doubts=doubts)
 
 
 def _causes(group: Sequence[Tally], as_it_was: Tally) -> tuple[Tally, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roboxim_core.episode import ActorPort, Draw, EpisodeInfo, RunConfig
+from roboxim_core.episode import ActorPort, Draw, EpisodeInfo, EpisodeResult, RunConfig
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.specs import SceneSpec
 from roboxim_eval.answers.causes import Explanation, Tally, explanation, may_become_cause, not_yet_causes
@@ -48,7 +48,8 @@ class ExplainConfig:
 
 def explain(
     bench: TryBench, info: EpisodeInfo, actor: ActorPort, config: ExplainConfig | None = None, *,
-    on_tally: Callable[[Tally], None] = lambda _: None,
+    recorded: EpisodeResult | None = None, on_tally: Callable[[Tally], None] = lambda _: None,
+    on_doubt: Callable[[str], None] = lambda _: None,
 ) -> Explanation:  # fmt: skip
     """Explain why an episode failed.
 
@@ -61,10 +62,13 @@ def explain(
         info: The episode.
         actor: Its policy.
         config: How much is tried; none: the default.
+        recorded: How the recorded episode ended, to compare its repetition with; none: unknown.
         on_tally: Called with each change when its runs are done.
+        on_doubt: Called with each of the explanation's doubts, as early as possible.
 
     Raises:
-        ConfigError: When nothing can be changed, or the bag does not say how it was run.
+        ConfigError: When nothing can be changed, the bag does not say how it was run, or the policy is not the recorded
+            one and does not repeat the outcome.
         PolicyError: When the policy raises.
         RoboximError: On a fault of the simulator.
     """
@@ -76,7 +80,7 @@ def explain(
             + (f" by {', '.join(config.only)}: that" if config.only else ": no distractors, and all else")
             + " is nominal"
         )
-    run = _Repeats(bench, info, actor)
+    run = _Repeats(bench, info, actor, recorded, on_doubt)
     nothing = Change(name="", words="as it was", apply=lambda task, scene, _: (task, scene))
     as_it_was = run.all_of(nothing, config.repeats)
     on_tally(as_it_was)
@@ -97,11 +101,11 @@ def explain(
         return [tally for tally in found.values() if tally.runs]
 
     singles = tallies(changes)
-    found = explanation(as_it_was, singles)
+    found = explanation(as_it_was, singles, doubts=run.doubts)
     if found.kind != "none" or not config.pairs:
         return found
     pairs = [both(one, two) for one, two in itertools.combinations(_likely(changes, singles), 2)][:MAX_PAIRS]
-    return explanation(as_it_was, singles, tallies(pairs))
+    return explanation(as_it_was, singles, tallies(pairs), doubts=run.doubts)
 
 
 def _enough(repeats: int, as_it_was: Tally, changes: int) -> int:
@@ -117,12 +121,58 @@ def _likely(changes: Iterable[Change], singles: Sequence[Tally]) -> list[Change]
     return sorted((c for c in changes if c.name in successes), key=lambda c: -successes[c.name])
 
 
+def _another_policy(info: EpisodeInfo, actor: ActorPort) -> str:
+    """Return in words which policy was recorded and which is given; empty: they have one name and version."""
+    given = actor.describe()
+    if (given.name, given.version) == (info.actor, info.actor_version):
+        return ""
+    there, here = (
+        f"'{name}'" + (f" ({version})" if version else "")
+        for name, version in ((info.actor, info.actor_version), (given.name, given.version))
+    )
+    return f"{info.episode_id} was recorded with the policy {there}, and {here} is given"
+
+
 class _Repeats:
-    def __init__(self, bench: TryBench, info: EpisodeInfo, actor: ActorPort) -> None:
+    doubts: tuple[str, ...] = ()
+    """Why the repetitions may not be of the recorded failure, a sentence each."""
+
+    def __init__(
+        self, bench: TryBench, info: EpisodeInfo, actor: ActorPort, recorded: EpisodeResult | None,
+        on_doubt: Callable[[str], None],
+    ) -> None:  # fmt: skip
         self._bench, self._info, self._actor = bench, info, actor
+        self._recorded, self._on_doubt = recorded, on_doubt
         self._config, self._draw = recorded_run(info)
         self.infeasible: set[str] = set()
         """Names of changes whose scene breaks a constraint in a repetition."""
+        self._other = _another_policy(info, actor)
+        if self._other:
+            self._doubt(f"{self._other}: what follows explains how that policy fails in this scene")
+
+    def _doubt(self, sentence: str) -> None:
+        self.doubts = (*self.doubts, sentence)
+        self._on_doubt(sentence)
+
+    def _compare(self, now: EpisodeResult) -> None:
+        """Compare the exact repetition with the recording.
+
+        Raises:
+            ConfigError: When another policy has another outcome.
+        """
+        before = self._recorded
+        if before is None or now.final_state_hash == before.final_state_hash:
+            return
+        ends = " and ".join(f"{one.outcome} {one.reason}".strip() for one in (before, now))
+        if (now.outcome, before.outcome) != ("failure", "failure") and self._other:
+            raise ConfigError(
+                f"{self._other}, which does not repeat the recorded outcome ({ends}); give the policy of the recording"
+            )
+        if before.final_state_hash and not self._other:
+            self._doubt(
+                f"the exact repetition of {self._info.episode_id} ends otherwise than the recording ({ends}): the "
+                "policy's options or files, the renderer or the code have changed, or the policy acts by chance"
+            )
 
     def all_of(self, change: Change, repeats: int) -> Tally:
         outcomes = [found for number in range(repeats) if (found := self._one(change, number)) is not None]
@@ -146,6 +196,8 @@ class _Repeats:
         draw: Draw = replace(self._draw, task=task, scene=self._started(scene, number))
         run: RunConfig = self._config
         found = self._bench.run(draw, self._actor, replace(seed, attempt=seed.attempt + number), config=run)
+        if not change.name and not number:
+            self._compare(found.result)
         return found.success if found.began else None
 
     def _started(self, scene: SceneSpec, number: int) -> SceneSpec:

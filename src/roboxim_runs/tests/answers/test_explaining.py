@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from types import SimpleNamespace
 from unittest.mock import MagicMock
@@ -14,9 +15,10 @@ from scene_measures import scene_measures
 
 from roboxim_bringup.core_graph import CoreActor
 from roboxim_core.config_folders import named_config
-from roboxim_core.episode import RunConfig
+from roboxim_core.episode import Draw, EpisodeResult, RunConfig
 from roboxim_core.errors import ConfigError, SimError
 from roboxim_core.plain_data.merging import merged
+from roboxim_core.policies import PolicyDescription
 from roboxim_core.seeds import SeedPath
 from roboxim_core.vision.cameras import load_camera
 from roboxim_runs.answers import explaining
@@ -75,6 +77,52 @@ def test_a_change_is_taken_up_again_if_a_later_cause_lets_it_be_shown(monkeypatc
     }  # fmt: skip
     assert found.kind == "several"
     assert [one.name for one in seen] == ["", "light", "color", "words", "light", "color"]
+
+
+def explained(monkeypatch, actor, *, now, before):
+    """Explain a recorded failure of bc (version A), whose repetitions all end as given: outcome and hash of states."""
+    monkeypatch.setattr(explaining, "changes_of", lambda *_: [Change(name="light", words="in light", apply=as_it_is)])
+    monkeypatch.setattr(explaining, "recorded_run", lambda _: (RunConfig(), Draw(task=None, scene=None, max_steps=1)))
+    monkeypatch.setattr(_Repeats, "_started", lambda _self, scene, _number: scene)
+    ended = [
+        EpisodeResult(episode_id="e", index=0, outcome=outcome, final_state_hash=states) for outcome, states in (
+            before, now)
+    ]  # fmt: skip
+    tried = SimpleNamespace(result=ended[1], success=now[0] == "success", began=True)
+    bench = SimpleNamespace(graph=MagicMock(), run=lambda *_, **__: tried)
+    info = SimpleNamespace(
+        episode_id="e", actor="bc", actor_version="A", index=0, run_seed=0, purpose="eval", attempt=0
+    )
+    told = []
+    found = explain(
+        bench, info, SimpleNamespace(describe=lambda: PolicyDescription(name=actor[0], version=actor[1])),
+        ExplainConfig(repeats=3), recorded=ended[0], on_doubt=told.append,
+    )  # fmt: skip
+    assert tuple(told) == found.doubts
+    return found
+
+
+def as_it_is(task, scene, _):
+    return task, scene
+
+
+FAILED = ("failure", "abc")
+
+
+def test_another_policy_than_the_recorded_one_is_named_or_refused(monkeypatch):
+    assert explained(monkeypatch, ("bc", "A"), now=FAILED, before=FAILED).doubts == ()
+    for given, said in ((("bc", "B"), r"'bc' \(B\) is given"), (("zero", ""), "'zero' is given")):
+        (doubt,) = explained(monkeypatch, given, now=("failure", "xyz"), before=FAILED).doubts
+        assert re.search(rf"e was recorded with the policy 'bc' \(A\), and {said}: what follows", doubt)
+        with pytest.raises(ConfigError, match=rf"{said}, which does not repeat the .* \(failure and success\); give"):
+            explained(monkeypatch, given, now=("success", "xyz"), before=FAILED)
+
+
+def test_an_exact_repetition_that_ends_otherwise_than_the_recording_is_named(monkeypatch):
+    for now in (("failure", "xyz"), ("success", "xyz")):
+        (doubt,) = explained(monkeypatch, ("bc", "A"), now=now, before=FAILED).doubts
+        assert f"the exact repetition of e ends otherwise than the recording (failure and {now[0]})" in doubt
+    assert explained(monkeypatch, ("bc", "A"), now=FAILED, before=("failure", "")).doubts == ()  # of another program
 
 
 @pytest.fixture(scope="module")

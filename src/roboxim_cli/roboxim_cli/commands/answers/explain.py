@@ -33,7 +33,8 @@ def command(
     roboxim explain runs/evaluation/bc/episodes/eval-0-00007-0 --policy bc --checkpoint runs/bc --change distractors
 
     EPISODE is a bag, or the folder of a run or an evaluation with the episode's NUMBER. Changes: distractors, color,
-    camera, light, surfaces, physics, words, start, place; those that are nominal in the episode are left out.
+    camera, light, surfaces, physics, words, start, place; those that are nominal in the episode are left out. A policy
+    that is not the recorded one is said to be another, and refused where the outcome is not repeated.
     """
     import dataclasses
 
@@ -46,14 +47,18 @@ def command(
 
     config = ExplainConfig(repeats=repeats, only=only, pairs=pairs)
     policies = chosen([policy], checkpoints, policy_options)
-    info = BagReader(find_episode(place, number).bag).info
+    bag = BagReader(find_episode(place, number).bag)
+    info = bag.info
 
     def print_tally(tally: Tally) -> None:
         click.echo(f"  {tally.words}: {tally.successes} of {tally.runs}", err=as_json)
 
     click.echo(f"{info.episode_id}: {info.task.instruction}", err=as_json)
     with TryBench() as bench:
-        found = explain(bench, info, bench.actor(policies[0]), config, on_tally=print_tally)
+        found = explain(
+            bench, info, bench.actor(policies[0]), config, recorded=bag.result, on_tally=print_tally,
+            on_doubt=lambda sentence: click.echo(f"  but: {sentence}", err=True),
+        )  # fmt: skip
         runs = bench.runs
     if as_json:
         print_json(dataclasses.asdict(found) | {"sentence": found.sentence, "runs": runs})
