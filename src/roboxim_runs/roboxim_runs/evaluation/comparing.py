@@ -11,7 +11,7 @@ from roboxim_eval.film_options import FilmOptions
 from roboxim_runs.evaluation.report import REPORT_FILE, doubts_about, stored_record
 from roboxim_runs.evaluation.results import PolicyResult
 from roboxim_runs.evaluation.shown import shown_runs
-from roboxim_runs.storage.folder import RunFolder
+from roboxim_runs.storage.folder import RunFolder, distinct_ends
 
 
 def compare_evaluations(folders: Sequence[Path], out: Path, *, film: FilmOptions | None = None) -> tuple[Path, str]:
@@ -37,7 +37,7 @@ def compare_evaluations(folders: Sequence[Path], out: Path, *, film: FilmOptions
         raise ConfigError(f"expected at least two different evaluations, got {', '.join(map(str, folders))}")
     if out.resolve() in [folder.resolve() for folder in folders]:
         raise ConfigError(f"{out} is one of the evaluations; choose another --out, so that its report stays")
-    records = {name: stored_record(folder) for name, folder in zip(_names(folders), folders, strict=True)}
+    records = {name: stored_record(folder) for name, folder in zip(distinct_ends(folders), folders, strict=True)}
     found: dict[str, PolicyResult] = {}
     trained: set[str] = set()
     warnings: list[str] = []
@@ -71,13 +71,3 @@ def compare_evaluations(folders: Sequence[Path], out: Path, *, film: FilmOptions
     )  # fmt: skip
     write_report(report, out)
     return out / REPORT_FILE, "\n".join(filter(None, (*doubts, verdict_line(runs))))
-
-
-def _names(folders: Sequence[Path]) -> list[str]:
-    """Return the shortest ends of the folders' paths that distinguish them."""
-    parts = [folder.resolve().parts for folder in folders]
-    for length in range(1, max(map(len, parts)) + 1):
-        names = ["/".join(part[-length:]) for part in parts]
-        if len(set(names)) == len(names):
-            return names
-    return [str(folder) for folder in folders]

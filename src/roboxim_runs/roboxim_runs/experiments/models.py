@@ -10,13 +10,15 @@ from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.models import Models, Wins, compare_models, compared_condition
 from roboxim_runs.experiments.card import CARD_FILE, results_of, stage_name
 from roboxim_runs.experiments.report import ExperimentFolder, folder_card, has_only_card, stored_card
+from roboxim_runs.storage.folder import distinct_ends
 
 
 def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -> tuple[Models, dict[str, Card]]:
     """Compare a condition of several runs.
 
     Args:
-        folders: Folders of runs or of cards, or card files; a model is named by its folder, or by its file.
+        folders: Folders of runs or of cards, or card files; a model is named by its folder, or by its file, with as
+            many folders above it as distinguish the models.
         condition: Condition; empty: the first one of the primary comparison.
         where: ``unseen``, ``seen`` or ``all``; empty: that of the primary comparison.
 
@@ -24,15 +26,16 @@ def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -
         The comparison, and name to card.
 
     Raises:
-        ConfigError: When two models have the same name, a card was changed, nothing is common, or the rollouts had
+        ConfigError: When a run is named twice, a card was changed, nothing is common, or the rollouts had
             different tasks.
     """
     cards: dict[str, Card] = {}
     runs: dict[str, ExperimentFolder] = {}
-    for path in folders:
-        name = _name_of(path)
-        if name in cards:
-            raise ConfigError(f"two of the runs are named '{name}'; rename a folder or a card")
+    models = [_model_of(path) for path in folders]
+    for number, model in enumerate(models):
+        if model in models[:number]:
+            raise ConfigError(f"{folders[number]} is named twice; name each run once")
+    for name, path in zip(distinct_ends(models), folders, strict=True):
         if path.is_file() or has_only_card(path):
             cards[name] = stored_card(path if path.is_file() else path / CARD_FILE)
             continue
@@ -44,11 +47,11 @@ def compared(folders: Sequence[Path], *, condition: str = "", where: str = "") -
     return compare_models(cards, condition=condition, where=where, scenes=scenes), cards
 
 
-def _name_of(path: Path) -> str:
-    """Return the name of a model: that of its run's folder, also for a card in it, or that of another card's file."""
+def _model_of(path: Path) -> Path:
+    """Return the path that names a model: its run's folder, also for a card in it, or another card's file."""
     if path.is_file() and path.name != CARD_FILE:
-        return path.stem
-    return (path if path.is_dir() else path.parent).resolve().name
+        return path.resolve().with_suffix("")
+    return (path if path.is_dir() else path.parent).resolve()
 
 
 def _wins(folder: ExperimentFolder, condition: str, card: Card) -> list[Wins]:

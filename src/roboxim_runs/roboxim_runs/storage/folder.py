@@ -10,7 +10,7 @@ import fcntl
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -280,6 +280,16 @@ def folders_with(name: str, folder: Path, deepest: int) -> Iterator[Path]:
     """Yield a folder and those below it, down to a level, that contain a file of a name; skip hidden folders."""
     for depth in range(deepest + 1):
         yield from (file.parent for file in sorted(folder.glob("/".join(["[!.]*"] * depth + [name]))))
+
+
+def distinct_ends(folders: Sequence[Path]) -> list[str]:
+    """Return the shortest ends of the folders' paths that distinguish them."""
+    parts = [folder.resolve().parts for folder in folders]
+    for length in range(1, max(map(len, parts), default=0) + 1):
+        names = ["/".join(part[-length:]) for part in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [str(folder) for folder in folders]
 
 
 def run_key(config: Mapping[str, Any]) -> str:

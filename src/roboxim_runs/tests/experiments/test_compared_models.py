@@ -45,8 +45,8 @@ def test_models_are_compared_on_the_scenes_that_they_shared(tmp_path):
     card.write_text((tmp_path / "weak/card.json").read_text())
     models, _ = compared([card, tmp_path / "strong"])
     assert models.pairs[0].test == "these checkpoints, without pairing their scenes", "a card alone has no scenes"
-    with pytest.raises(ConfigError, match="two of the runs are named 'weak'"):
-        compared([tmp_path / "weak", tmp_path / "weak"])
+    with pytest.raises(ConfigError, match="weak/card.json is named twice"):
+        compared([tmp_path / "weak", tmp_path / "weak/card.json"])
     models, _ = compared([tmp_path / "weak/card.json", tmp_path / "strong/card.json"])
     assert models.models.keys() == {"weak", "strong"}, "a card is named by its folder"
     (tmp_path / "alone").mkdir()
@@ -55,6 +55,20 @@ def test_models_are_compared_on_the_scenes_that_they_shared(tmp_path):
         ExperimentFolder.of(tmp_path / "alone")
     models, _ = compared([tmp_path / "alone", tmp_path / "strong"])
     assert models.models.keys() == {"alone", "strong"}, "a published folder has the card alone"
+
+
+def test_runs_called_alike_are_named_with_the_folders_above_them(tmp_path):
+    one = PLANTED_EXPERIMENT.replace("count: 3", "count: 1")
+    for name, rate in (("a/run", 0.2), ("b/run", 0.9)):
+        planted_folder(tmp_path / name, {**PLANTED_RATES, "leave_out": rate}, one)
+        (tmp_path / name / "report.html").write_text("")
+    page = tmp_path / "models.html"
+    words = ("experiment", "compare", str(tmp_path / "a/run"), str(tmp_path / "b/run"), "--out", str(page))
+    said = CliRunner().invoke(group, words, standalone_mode=False, catch_exceptions=False).stdout
+    rates = {name: rest[1] for name, *rest in map(str.split, said.splitlines()) if "to" in rest[3:5]}
+    assert list(rates) == ["b/run", "a/run"]  # the better first
+    assert int(rates["a/run"]) < 50 < int(rates["b/run"])
+    assert all(f'href="{name}/report.html#episodes?' in page.read_text() for name in rates)
 
 
 @pytest.mark.thorough

@@ -15,7 +15,7 @@ from roboxim_core.plain_data.shell import shell_line
 from roboxim_core.whole_files import write_whole
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Mapping
 
     from roboxim_eval.experiments import ExperimentConfig, Rates
 
@@ -340,8 +340,8 @@ def compare(folders: tuple[Path, ...], condition: str, where: str | None, out: P
     \b
     roboxim experiment compare runs/octo runs/bc runs/mine --out models.html
 
-    Cards alone (card.json, or a folder with one) can be compared, too. A model is named by its folder. Models without a
-    common letter differ after Holm's adjustment for all pairs.
+    Cards alone (card.json, or a folder with one) can be compared, too. A model is named by its folder, and by those
+    above it where two are called alike. Models without a common letter differ after Holm's adjustment for all pairs.
     """
     from roboxim_runs.experiments.models import compared
 
@@ -358,16 +358,16 @@ def compare(folders: tuple[Path, ...], condition: str, where: str | None, out: P
     if out is not None:
         from roboxim_eval.report.models import models_page
 
-        write_whole(out, models_page(models, cards, _pages_beside(out, folders)))
+        write_whole(out, models_page(models, cards, _pages_beside(out, dict(zip(cards, folders, strict=True)))))
         click.echo(f"report: {out}")
 
 
-def _pages_beside(html: Path, folders: Iterable[Path]) -> dict[str, str]:
-    """Return the address of each run's own page, from that of a page beside them, by the folder's name."""
+def _pages_beside(html: Path, folders: Mapping[str, Path]) -> dict[str, str]:
+    """Return the address of each run's own page, from that of a page beside them, by the model's name."""
     import os
     from urllib.parse import quote
 
-    pages = {folder.resolve().name: folder.resolve() / "report.html" for folder in folders if folder.is_dir()}
+    pages = {name: folder.resolve() / "report.html" for name, folder in folders.items() if folder.is_dir()}
     start = html.resolve().parent
     return {name: quote(os.path.relpath(page, start)) for name, page in pages.items() if page.exists()}
 
