@@ -1,19 +1,24 @@
 """A pre-training packs a named checkpoint that says what its demonstrations contained."""
 
 import json
+import re
 from dataclasses import replace
 
 import pytest
 
+from roboxim_cli.commands.stages.pretrain import command
 from roboxim_core.actions import ActionSemantics
 from roboxim_core.episode import EpisodeInfo
 from roboxim_core.errors import ConfigError
 from roboxim_core.specs import EntitySpec, PhysicalObject, SceneSpec, TaskSpec
 from roboxim_policies.bc.config import BCConfig
 from roboxim_policies.learning.checkpoint import load_checkpoint
+from roboxim_runs.episodes.generation import GenerationConfig
+from roboxim_runs.episodes.task_choice import shares_text
 from roboxim_runs.storage.folder import locked
-from roboxim_runs.training.pretraining import PretrainConfig, exposure_of, pretrain
+from roboxim_runs.training.pretraining import SUITE, PretrainConfig, exposure_of, pretrain
 from roboxim_runs.training.run import read_config, train_policy
+from roboxim_tasks.config import parse_task_config
 
 
 def info(number, model, skill="pick_up", look="bench"):
@@ -57,6 +62,13 @@ def test_a_name_is_a_files_name():
     assert PretrainConfig(learning=BCConfig(), out="runs/broad").checkpoint_name == "broad"
     with pytest.raises(ConfigError, match="without folders"):
         _ = PretrainConfig(learning=BCConfig(), name="a/b").checkpoint_name
+
+
+def test_the_example_of_the_command_gives_every_skill_its_share():
+    (given,) = re.findall(r"--episodes (\d+)", command.help)
+    mix = parse_task_config(GenerationConfig(suite=SUITE).task_text())
+    assert "a multiple of" not in shares_text(mix, int(given))
+    assert "a multiple of 16 gives" in shares_text(mix, 276)
 
 
 def test_a_folder_that_trains_already_takes_no_more_demonstrations(tmp_path):
