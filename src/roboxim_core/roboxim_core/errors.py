@@ -221,6 +221,17 @@ def one_of(choices: Iterable[str], given: str) -> str:
     return f"expected one of: {', '.join(names) or '(none registered)'}{f' ({hint})' if hint else ''}"
 
 
+def counted(number: int, noun: str, nouns: str = "") -> str:
+    """Return a number of things in words, e.g. ``1 scene`` or ``0 policies``.
+
+    Args:
+        number: How many.
+        noun: Word for one of them.
+        nouns: Word for several; empty: with an ``s``.
+    """
+    return f"{number} {noun if number == 1 else nouns or f'{noun}s'}"
+
+
 def listed(names: Iterable[str]) -> str:
     """Return names as a sentence lists them, e.g. ``a, b and c``."""
     *others, last = names

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from roboxim_core.config import to_plain
+from roboxim_core.errors import counted
 from roboxim_core.whole_files import write_whole
 from roboxim_datasets.account import Account, lines, to_json
 from roboxim_datasets.dataset import EXPORT_FILE, Dataset, in_order
@@ -239,7 +240,7 @@ def _title(dataset: Dataset, counts: Counts) -> str:
 
 
 def _sentence(dataset: Dataset) -> str:
-    return f"{len(dataset)} episodes in the format {dataset.format} {dataset.version}.".replace(" .", ".")
+    return f"{counted(len(dataset), 'episode')} in the format {dataset.format} {dataset.version}.".replace(" .", ".")
 
 
 def _actions(dataset: Dataset) -> str:

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from roboxim_core.errors import InvalidRequestError
+from roboxim_core.errors import InvalidRequestError, counted
 from roboxim_datasets.dataset import Dataset
 from roboxim_datasets.episode import EXECUTED, Episode, RGBImage, Step
 from roboxim_datasets.lerobot.layout import DEPTH_UNIT_M, MAX_DEPTH
@@ -337,8 +337,9 @@ def comparison_text(found: Comparison, names: Mapping[str, str]) -> str:
         found: The comparison.
         names: ``a`` and ``b`` to how the datasets are called.
     """
-    verdict = "EQUAL" if found.equal else f"DIFFERENT ({found.count} differences)"
-    lines = [f"{names['a']} and {names['b']}: {verdict}", f"  {found.episodes} episodes, {found.steps} steps compared"]
+    verdict = "EQUAL" if found.equal else f"DIFFERENT ({counted(found.count, 'difference')})"
+    compared = f"{counted(found.episodes, 'episode')}, {counted(found.steps, 'step')} compared"
+    lines = [f"{names['a']} and {names['b']}: {verdict}", f"  {compared}"]
     lines += [f"  {what:<9} {how}" for what, how in found.compared.items()]
     for camera, seen in sorted(found.images.items()):
         if seen.equal == seen.count:

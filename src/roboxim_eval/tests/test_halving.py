@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, counted
 from roboxim_eval.answers.halving import HalvingConfig, choose, sentences
+from roboxim_eval.answers.moments import SceneComparison, summary
 from roboxim_eval.statistics.rates import success_rate
 
 
@@ -45,6 +46,17 @@ def test_each_round_has_half_the_policies_and_twice_the_scenes():
     told = sentences(choice, success_rate(39, 40))
     assert told[0].startswith("round 1, 20 scenes: c ")
     assert "c is chosen; in fresh scenes it succeeds in 39 of 40" in told[3]
+
+
+def test_numbers_of_things_are_in_the_singular_for_one():
+    choice = choose(["a", "b"], lambda names, scenes: {name: [True] * scenes for name in names}, HalvingConfig(first=1))
+    first, _, chose = sentences(choice, success_rate(1, 1))
+    assert first == "round 1, 1 scene: a 1, b 1"
+    assert "in the 1 scene that chose it: 100 %" in chose
+    one = SceneComparison(scene=0, outcome=(True, True), diverge_at=None)
+    assert summary(("a", "b"), [one])[0].startswith("1 scene: both")
+    assert summary(("a", "b"), [one, one])[0].startswith("2 scenes: both")
+    assert [counted(number, "policy", "policies") for number in (0, 1, 2)] == ["0 policies", "1 policy", "2 policies"]
 
 
 def test_the_first_named_wins_among_equals():

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, counted
 from roboxim_core.whole_files import write_whole
 
 HEIGHT_PX = 560
@@ -72,7 +72,7 @@ def view(what: Any, episode: int = 0, *, height: int = HEIGHT_PX) -> View:
     opened = recognise(str(what))
     bags = (opened.path,) if opened.path is not None and not opened.bags else opened.bags
     if opened.kind not in ("bag", "run") or not 0 <= episode < len(bags):
-        count = f"{len(bags)} episodes, from 0" if opened.kind == "run" else f"a {opened.kind}"
+        count = f"{counted(len(bags), 'episode')}, from 0" if opened.kind == "run" else f"a {opened.kind}"
         raise ConfigError(f"{what}: no episode {episode} to view: it is {count}; name a bag, or a run's folder")
     bag = bags[episode]
     assert bag is not None

@@ -20,7 +20,7 @@ def test_an_episode_is_a_frame_of_a_notebook_that_asks_nobody(bag, run, tmp_path
 
 
 def test_what_is_no_episode_is_named(run, tmp_path):
-    with pytest.raises(ConfigError, match="1 episodes, from 0"):
+    with pytest.raises(ConfigError, match="1 episode, from 0"):
         roboxim.view(run, episode=1)
     with pytest.raises(ConfigError, match="a task"):
         roboxim.view("pick_cube")

@@ -8,6 +8,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.options import option, print_json
+from roboxim_core.errors import counted
 
 
 def _options(words: tuple[str, ...]) -> dict[str, Any]:
@@ -79,5 +80,5 @@ def command(
         for way, rate in found.rates.items():
             click.echo(f"success, {way}: {rate}")
         faulty = len({finding.check for finding in found.findings})
-        click.echo(f"{environment}: {len(found.passed)} checks passed, {faulty} found faults")
+        click.echo(f"{environment}: {counted(len(found.passed), 'check')} passed, {faulty} found faults")
     raise SystemExit(int(bool(found.findings)))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from roboxim_core.errors import counted
 from roboxim_core.plain_data.shell import shell_line
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def command(
         stop.wait()
     if kept := studio.drive.kept:
         folder = studio.drive.bags.name
-        click.echo(f"\n{kept} episode{'s' * (kept > 1)} kept in {folder}, {studio.drive.solved} solved")
+        click.echo(f"\n{counted(kept, 'episode')} kept in {folder}, {studio.drive.solved} solved")
         export = shell_line("roboxim", "export", "lerobot", folder, "--for", "act", "--out", f"{folder}-act")
         click.echo(f"next: {export}")
 

@@ -9,6 +9,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.options import is_given, option, print_json, task_options, with_options
+from roboxim_core.errors import counted
 
 
 @strict.group()
@@ -44,7 +45,7 @@ def _show(skills: dict[str, Any], tasks: dict[str, Any]) -> None:
             click.echo(f"  {'':<20}   {role}: {', '.join(suited)}")
     click.secho("tasks (roboxim generate --task NAME)", bold=True)
     for name, task in tasks.items():
-        count = f", {task['episodes']} episodes" if task["episodes"] else ""
+        count = f", {counted(task['episodes'], 'episode')}" if task["episodes"] else ""
         click.echo(f"  {name:<28} {', '.join(task['skills'])}{count}")
         click.echo(f"  {'':<28}   {task['about']}")
 

@@ -15,6 +15,7 @@ from roboxim_core.conventions.images import ImageInput, Layout, Resize
 from roboxim_core.conventions.normalisation import NormalisationKind
 from roboxim_core.conventions.outputs import SCALABLE, ActionOutput
 from roboxim_core.conventions.states import StateField, StateInput, StatePart
+from roboxim_core.errors import counted
 from roboxim_core.rotation.representations import Floats, RotationRepresentation, decode, encode, gripper_down
 
 _RESIZED = {
@@ -132,7 +133,7 @@ def _states(convention: Convention) -> list[str]:
 
 def _state(convention: Convention, state: StateInput) -> str:
     count = state.size(convention.action.joints)
-    numbers = f"{count} number{'' if count == 1 else 's'}"
+    numbers = counted(count, "number")
     return f"{numbers} ({state.dtype}): " + "; ".join(_state_part(convention, part) for part in state.parts)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from roboxim_core import limits
 from roboxim_core.actions import ActionSemantics, Chunking, GripperRule
-from roboxim_core.errors import InvalidRequestError, one_of
+from roboxim_core.errors import InvalidRequestError, counted, one_of
 from roboxim_core.specs import SceneSpec, TaskSpec
 from roboxim_core.verdicts import Verdict
 
@@ -148,7 +148,7 @@ class RunConfig:
     def timing(self) -> str:
         """When answers arrive, in words: ``lockstep``, ``lockstep, 2 ticks late`` or ``real time``."""
         mode = "real time" if self.real_time else "lockstep"
-        late = f", {self.latency_ticks} tick{'s' * (self.latency_ticks != 1)} late" if self.latency_ticks else ""
+        late = f", {counted(self.latency_ticks, 'tick')} late" if self.latency_ticks else ""
         return mode + late
 
     @property

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from roboxim_core.errors import counted
 from roboxim_core.whole_files import write_json, write_whole
 from roboxim_datasets.audit.values import AuditResult, CheckResult, Finding
 
@@ -82,24 +83,20 @@ def summary_line(result: AuditResult) -> str:
     """Say the outcome in a sentence."""
     faulty = {name for check in result.checks for name in check.faulty_episodes}
     counts = result.counts
-    parts = [f"{_count(counts['faults'], 'check')} of {len(result.checks)} found faults"]
+    parts = [f"{counted(counts['faults'], 'check')} of {len(result.checks)} found faults"]
     if len(faulty) > result.episodes:  # those that bags have and the dataset lacks count, too
-        parts[0] += f", in {len(faulty)} episodes with the missing ones (the dataset has {result.episodes})"
+        parts[0] += f", in {counted(len(faulty), 'episode')} with the missing ones (the dataset has {result.episodes})"
     elif faulty:
-        parts[0] += f", in {len(faulty)} of {_count(result.episodes, 'episode')}"
+        parts[0] += f", in {len(faulty)} of {counted(result.episodes, 'episode')}"
     else:
-        parts[0] += f" in {_count(result.episodes, 'episode')}"
+        parts[0] += f" in {counted(result.episodes, 'episode')}"
     if counts["warnings"]:
         parts.append(f"{counts['warnings']} only warn{'s' if counts['warnings'] == 1 else ''}")
     if counts["unchecked"]:
         parts.append(f"{counts['unchecked']} could not be made")
     if result.unreadable:
-        parts.append(f"{_count(len(result.unreadable), 'episode')} could not be read")
+        parts.append(f"{counted(len(result.unreadable), 'episode')} could not be read")
     return "; ".join(parts)
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def as_plain(report: AuditReport) -> dict[str, Any]:

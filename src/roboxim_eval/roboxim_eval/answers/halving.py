@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from roboxim_core.errors import ConfigError, listed
+from roboxim_core.errors import ConfigError, counted, listed
 from roboxim_eval.statistics.rates import SuccessRate, success_rate
 
 Play = Callable[[Sequence[str], int], Mapping[str, Sequence[bool]]]
@@ -110,13 +110,13 @@ def sentences(choice: Choice, fresh: SuccessRate) -> list[str]:
     lines = []
     for number, one in enumerate(choice.rounds, start=1):
         ranked = ", ".join(f"{name} {successes}" for name, successes in one.successes.items())
-        lines.append(f"round {number}, {one.scenes} scenes: {ranked}")
+        lines.append(f"round {number}, {counted(one.scenes, 'scene')}: {ranked}")
     last, scenes = choice.rounds[-1].successes, choice.rounds[-1].scenes
     ties = [name for name in last if name != choice.winner and last[name] == last[choice.winner]]
     tied = f", though {listed(ties)} succeeded as often" if ties else ""
     return [
         *lines,
         f"{choice.winner} is chosen{tied}; in fresh scenes it succeeds in {fresh}",
-        f"in the {scenes} scenes that chose it: {100 * choice.choosing.rate:.0f} %, too high on average, because they "
-        "chose it",
+        f"in the {counted(scenes, 'scene')} that chose it: {100 * choice.choosing.rate:.0f} %, too high on average, "
+        "because of the choice",
     ]

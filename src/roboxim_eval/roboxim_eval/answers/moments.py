@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from roboxim_core.errors import counted
 from roboxim_core.state import StateRecord
 
 CLOSED = 0.5
@@ -92,7 +93,7 @@ def summary(names: tuple[str, str], found: Sequence[SceneComparison]) -> tuple[s
     count = Counter(one.outcome for one in found)
     first, second = names
     sentences = [
-        f"{len(found)} scenes: both succeed in {count[True, True]}, {first} alone in {count[True, False]}, "
+        f"{counted(len(found), 'scene')}: both succeed in {count[True, True]}, {first} alone in {count[True, False]}, "
         f"{second} alone in {count[False, True]}, neither in {count[False, False]}."
     ]
     for winner, loser, outcome in ((first, second, (True, False)), (second, first, (False, True))):

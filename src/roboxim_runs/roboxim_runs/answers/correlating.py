@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.errors import ConfigError, InvalidRequestError, one_of
+from roboxim_core.errors import ConfigError, InvalidRequestError, counted, one_of
 from roboxim_core.plain_data.documents import read_json, read_text
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import outcomes_of_card
@@ -177,9 +177,9 @@ def paired(first: Table, second: Table) -> list[PolicyCounts]:
     common = [name for name in both if name not in single]
     if len(common) < MIN_POLICIES:
         raise ConfigError(
-            f"the tables have {len(common)} policies in common ({', '.join(common) or 'none'}), and a correlation "
-            f"needs at least {MIN_POLICIES}: two points always lie on a line. They have {', '.join(first)}; and "
-            f"{', '.join(second)}"
+            f"the tables have {counted(len(common), 'policy', 'policies')} in common "
+            f"({', '.join(common) or 'none'}), and a correlation needs at least {MIN_POLICIES}: two points always lie "
+            f"on a line. They have {', '.join(first)}; and {', '.join(second)}"
         )
     return policy_counts({name: (first[name], second[name]) for name in common})
 

@@ -27,7 +27,7 @@ import numpy as np
 from roboxim_core.actions import ActionArray
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.conventions import Convention
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, counted
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.poses import distance
 from roboxim_core.state import StateRecord
@@ -175,7 +175,9 @@ class ReplayReport:
         problems = [episode for episode in self.episodes if episode.problem]
         if problems:
             first = problems[0]
-            return f"{len(problems)} episodes could not be replayed, first {first.episode_id}: {first.problem}"
+            return (
+                f"{counted(len(problems), 'episode')} could not be replayed, first {first.episode_id}: {first.problem}"
+            )
         if any(episode.executed is None for episode in self.episodes):
             return "it holds no executed actions (sim.action_executed); export the bags again"
         streams: tuple[tuple[Stream, bool, str], ...] = (
@@ -192,7 +194,7 @@ class ReplayReport:
     @property
     def lines(self) -> Iterator[str]:
         """Readable report."""
-        yield f"{self.path} ({self.format}): {len(self.episodes)} episodes replayed"
+        yield f"{self.path} ({self.format}): {counted(len(self.episodes), 'episode')} replayed"
         names: tuple[tuple[Stream, str], ...] = (("executed", "executed actions"), ("labels", "labels alone"))
         for stream, name in names:
             replays = [replay for episode in self.episodes if (replay := episode.stream(stream)) is not None]

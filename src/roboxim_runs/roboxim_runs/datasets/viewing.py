@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, counted
 from roboxim_datasets.episode import Episode
 from roboxim_datasets.formats import open_dataset
 from roboxim_recorder.bag import BagReader, mcap_file
@@ -29,7 +29,7 @@ def viewed_episode(place: Path, number: int = 0) -> tuple[Episode, tuple[str, ..
         return opened.episode(number), tuple(opened.features.action)
     bags = [mcap_file(place)] if place.is_file() else list_bags(place)
     if number >= len(bags):
-        raise ConfigError(f"{place} has {len(bags)} bags, so episodes 0 to {len(bags) - 1}; got {number}")
+        raise ConfigError(f"{place} has {counted(len(bags), 'bag')}, so episodes 0 to {len(bags) - 1}; got {number}")
     return episode_of_bag(bags[number])
 
 

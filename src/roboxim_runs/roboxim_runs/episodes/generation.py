@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from roboxim_core.episode import EpisodeResult
-from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError
+from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError, counted
 from roboxim_core.limits import ATTEMPTS, require_range
 from roboxim_core.shards import Shard
 from roboxim_runs.episodes.pictures import write_contact_sheet
@@ -115,7 +115,7 @@ class GenerationResult:
         made = [result for result in self.results if there.get(result.episode_id) != result]
         indices = {result.index for result in self.results}
         more = sum(result.outcome == "success" for result in self.before if result.index not in indices)
-        text = f"{len(self.kept)} demonstration{'' if len(self.kept) == 1 else 's'} in {self.out / 'episodes'}"
+        text = f"{counted(len(self.kept), 'demonstration')} in {self.out / 'episodes'}"
         notes = []
         if made and len(made) < len(self.results):
             notes.append(f"{len(self.results) - len(made)} of {len(self.results)} episodes existed before")

@@ -14,7 +14,7 @@ import yaml
 
 from roboxim_core.config import config_dirs, named_config, parse_yaml
 from roboxim_core.config_folders import config_dir, config_names, is_path
-from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.errors import ConfigError, counted, one_of
 from roboxim_core.plain_data import yaml_text
 from roboxim_core.plain_data.documents import read_text
 from roboxim_core.plain_data.merging import merged
@@ -227,12 +227,12 @@ def shares_text(mix: TaskMix, episodes: int) -> str:
     counts = Counter(mix.drawn(index)[CELL] for index in range(episodes))
     cells = dict.fromkeys(mix.keys, 0) | dict(counts)
     if len(set(cells.values())) == 1:
-        return f"{episodes} episodes: {counts[mix.keys[0]]} of each of {len(cells)} cells"
+        return f"{counted(episodes, 'episode')}: {counts[mix.keys[0]]} of each of {counted(len(cells), 'cell')}"
     shares = [f"{count} of {name}" for name, count in list(cells.items())[:CELLS_SHOWN]]
-    more = [f"{len(cells) - CELLS_SHOWN} more cells"] if len(cells) > CELLS_SHOWN else []
+    more = [counted(len(cells) - CELLS_SHOWN, "more cell")] if len(cells) > CELLS_SHOWN else []
     unit = sum(mix.counts) // gcd(*mix.counts)
     hint = "" if episodes % unit == 0 else f"; a multiple of {unit} gives every cell its share"
-    return f"{episodes} episodes: {', '.join([*shares, *more])}{hint}"
+    return f"{counted(episodes, 'episode')}: {', '.join([*shares, *more])}{hint}"
 
 
 def _digest_of(spec: str) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboxim_core.errors import ConfigError, EvaluationError, one_of
+from roboxim_core.errors import ConfigError, EvaluationError, counted, one_of
 from roboxim_datasets.episode import BETWEEN_ROBOTS
 from roboxim_runs.episodes.run import EpisodesJob, not_played
 from roboxim_runs.evaluation.results import PolicyResult
@@ -106,7 +106,7 @@ def require_same_policy(name: str, job: EpisodesJob, folder: Path, *, repair: bo
 def _require_same_files(name: str, job: EpisodesJob, run: RunFolder, episodes: int) -> None:
     stored = run.config()
     files = stored.get("policy_files")
-    holds = f"{run.path} holds {episodes} episode{'s' * (episodes != 1)}"
+    holds = f"{run.path} holds {counted(episodes, 'episode')}"
     todo = f"choose another output folder (--out or out=), or remove {run.path} to run it again"
     if files is None:
         raise ConfigError(

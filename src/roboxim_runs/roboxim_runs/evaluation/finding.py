@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from roboxim_core.episode import EpisodeInfo, EpisodeResult
-from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.errors import ConfigError, counted, one_of
 from roboxim_core.plain_data.results_log import RESULTS_FILE
 from roboxim_core.plain_data.shell import shell_line
 from roboxim_recorder.bag import BagReader, mcap_file
@@ -68,8 +68,9 @@ def _of_an_experiment(place: Path, number: int | None) -> str:
     if not folders:
         return f"{place} is an experiment without evaluations yet; run it first"
     names = ", ".join(folder.name for folder in folders[:8]) + (", ..." if len(folders) > 8 else "")
-    return f"{place} is an experiment with {len(folders)} evaluations ({names}); name one, e.g. " + shell_line(
-        "roboxim", "show", folders[0], number or 0
+    return (
+        f"{place} is an experiment with {counted(len(folders), 'evaluation')} ({names}); name one, e.g. "
+        + shell_line("roboxim", "show", folders[0], number or 0)
     )
 
 
@@ -125,7 +126,7 @@ def _bag_of(run: Path, number: int | None) -> Path:
     results = read_results(run)
     if number is None:
         raise ConfigError(
-            f"{run} has {len(results)} episodes; say which one, e.g. "
+            f"{run} has {counted(len(results), 'episode')}; say which one, e.g. "
             + shell_line("roboxim", "show", run, _example(results))
         )
     matching = [result for result in results if result.index == number]

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, counted
 from roboxim_core.whole_files import write_json
 from roboxim_policies.learning.checkpoint_file import checkpoint_file, family_in, read_description
 from roboxim_runs.evaluation.results import EvaluationResult
@@ -124,12 +124,12 @@ def sweep(
         return found
 
     def play(names: Sequence[str], scenes: int) -> Mapping[str, Sequence[bool]]:
-        on_event(Notice(text=f"{len(names)} policies, {scenes} scenes"))
+        on_event(Notice(text=f"{counted(len(names), 'policy', 'policies')}, {counted(scenes, 'scene')}"))
         found = played(names, scenes, CHOOSING, purpose="train")
         return {name: [r.outcome == "success" for r in found[name].results] for name in names}
 
     choice = choose(list(by_name), play, halving)
-    on_event(Notice(text=f"{choice.winner} is chosen; {halving.fresh} fresh scenes"))
+    on_event(Notice(text=f"{choice.winner} is chosen; {counted(halving.fresh, 'fresh scene')}"))
     evaluation = played([choice.winner], halving.fresh, "fresh", purpose="eval", seed=config.seed + SEED_STEP)
     rate = evaluation[choice.winner].rate
     result = {"rounds": [asdict(one) for one in choice.rounds], "winner": choice.winner, "fresh": asdict(rate)}

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from roboxim_core.config import to_plain
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, counted
 from roboxim_core.plain_data.results_log import RUN_FILE
 from roboxim_policies.base import load_policy
 from roboxim_policies.remote import Probe, RemotePolicy, changed_facts, probe_from_plain
@@ -70,8 +70,8 @@ def server_record(policy: ChosenPolicy, folder: RunFolder, episodes: int, timeou
     found = changed_facts(stored.facts, now.facts) or stored.probe.complaint(now.probe)
     if found and folder.results():
         raise ConfigError(
-            f"{folder.path} holds {len(folder.results())} episodes of another model of policy '{policy.name}': "
-            f"{found}; choose another output folder (--out or out=), or serve the first model again"
+            f"{folder.path} holds {counted(len(folder.results()), 'episode')} of another model of policy "
+            f"'{policy.name}': {found}; choose another output folder (--out or out=), or serve the first model again"
         )
     return now if found else replace(stored, notices=now.notices)
 

@@ -15,7 +15,7 @@ from roboxim_bringup.cores import CorePlanner, CoreSegmentation
 from roboxim_core.config import load_yaml, named_config
 from roboxim_core.config_folders import config_names
 from roboxim_core.episode import Draw
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, counted
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.models.visuals import drawn_entities
 from roboxim_core.plain_data.pictures import load_scenery
@@ -220,7 +220,7 @@ def picture_of(
             return painter.picture(reader.info.scene, reader.info.task, first.state), reader.info.task.instruction
         if is_scene:
             scene = load_scenery(named_config("scenes", what), SceneSpec)
-            return painter.picture(scene), f"scene {what}: {len(scene.entities)} objects"
+            return painter.picture(scene), f"scene {what}: {counted(len(scene.entities), 'object')}"
         text, _ = named_task(what, others=config_names("scenes"), **given)
         drawn = painter.draw(SeedPath(run_seed=seed, purpose="demo", index=0), parse_task_config(text))
         return painter.picture(drawn.scene, drawn.task), drawn.task.instruction

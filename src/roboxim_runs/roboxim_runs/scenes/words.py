@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from roboxim_core.config import to_plain
+from roboxim_core.errors import counted
 from roboxim_runs.episodes.task_choice import named_task
 from roboxim_tasks.choices import Choice, VectorChoice
 from roboxim_tasks.components.lights import LampsConfig
@@ -33,11 +34,11 @@ def task_lines(name: str) -> Iterator[str]:
         yield from (line.lstrip("# ") for line in comment)
         yield f"file          {file}"
     if isinstance(config, TaskMix):
-        yield f"mix           {len(config.cells)} cells, {sum(config.counts)} episodes"
+        yield f"mix           {counted(len(config.cells), 'cell')}, {counted(sum(config.counts), 'episode')}"
         for key, count in itertools.islice(zip(config.keys, config.counts, strict=True), CELLS):
             yield f"  {count:>4} of       {key}"
         if len(config.keys) > CELLS:
-            yield f"  and {len(config.keys) - CELLS} more cells"
+            yield f"  and {counted(len(config.keys) - CELLS, 'more cell')}"
         firsts: dict[str, tuple[str, TaskConfig]] = {}
         for key, cell in zip(config.keys, config.cells, strict=True):
             firsts.setdefault(cell.skill, (key, cell))

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from mcap.writer import MCAP0_MAGIC
 
 from roboxim_core.config import digest, from_plain, to_plain
-from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, RoboximError
+from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, RoboximError, counted
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.plain_data.results_log import REMEDY, RESULTS_FILE, RUN_FILE, LoggedResult, ResultsLog
@@ -323,7 +323,7 @@ def require_bags(folder: RunFolder, results: Iterable[EpisodeResult]) -> None:
     if lost:
         names = ", ".join(result.bag for result in lost[:3]) + (f" and {len(lost) - 3} more" if len(lost) > 3 else "")
         raise RecorderError(
-            f"{len(lost)} bag{'s' * (len(lost) != 1)} that {folder.log.path} names {'are' if len(lost) > 1 else 'is'} "
+            f"{counted(len(lost), 'bag')} that {folder.log.path} names {'are' if len(lost) > 1 else 'is'} "
             f"gone or cut short: {names}; put them back, or run again with --repair or repair=True, which repeats "
             "these episodes",
             ErrorCode.BAG_DAMAGED,

@@ -18,7 +18,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, UnavailableError
+from roboxim_core.errors import ConfigError, ErrorCode, RecorderError, UnavailableError, counted
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.plain_data.results_log import REMEDY, RESULTS_FILE, RUN_FILE, LoggedResult, ResultsLog
 
@@ -370,8 +370,8 @@ def upload_dataset(folder: Path, url: str, *, overwrite: bool = False) -> int:
         found = [name for name in store.find() if not name.endswith(".partial")]  # a killed upload leaves those
         if others := sorted(set(found) - {*names, SUMS_FILE}):
             raise ConfigError(
-                f"{url} has {len(others)} files that are not of {folder}, e.g. {others[0]}, and a reader would take "
-                "them for a part of it; choose another --store, or empty this one"
+                f"{url} has {counted(len(others), 'file')} not of {folder}, e.g. {others[0]}, which a reader would "
+                "take for a part of it; choose another --store, or empty this one"
             )
         if SUMS_FILE in found and not overwrite:
             store.get(SUMS_FILE, there)

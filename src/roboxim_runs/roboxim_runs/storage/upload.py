@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, counted
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.plain_data.results_log import RUN_FILE
@@ -69,7 +69,7 @@ class RunUpload:
     def _require_known(self, lost: int) -> None:
         if lost:
             raise ConfigError(
-                f"the store {self._url} holds {lost} bag{'s' * (lost != 1)} of this run that {self._run} does not "
+                f"the store {self._url} holds {counted(lost, 'bag')} of this run that {self._run} does not "
                 f"know: another folder runs it, or this one is new; copy {', '.join(SMALL_FILES)} from "
                 f"{self._url}/{self._prefix} into the folder to continue, choose another --store or store=, or run "
                 "these episodes again with --repair or repair=True"

@@ -187,7 +187,7 @@ def test_bags_are_viewed_as_episodes_of_a_dataset(evaluated: Path, tmp_path: Pat
     for place in (bag, evaluated / "zero", next(bag.glob("*.mcap"))):
         episode, names = viewed_episode(place)
         assert (episode.length, len(names)) == (5, 7)
-    with pytest.raises(ConfigError, match="has 1 bags, so episodes 0 to 0; got 3"):
+    with pytest.raises(ConfigError, match="has 1 bag, so episodes 0 to 0; got 3"):
         viewed_episode(evaluated / "zero", 3)
     picture = tmp_path / "sheet.png"
     done = CliRunner().invoke(dataset, ["view", str(bag), "--out", str(picture)])

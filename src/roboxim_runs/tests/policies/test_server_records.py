@@ -42,7 +42,7 @@ def test_folder_goes_on_with_the_same_model_only(tmp_path):
     assert server_record(policy, folder, 1, 120.0).facts == again.facts, "a complete folder needs no server"
     with pytest.raises(PolicyError, match="cannot be reached"):
         server_record(policy, folder, 2, 120.0)
-    with served(server.port, scale=0.1), pytest.raises(ConfigError, match="1 episodes of another model.*probe differ"):
+    with served(server.port, scale=0.1), pytest.raises(ConfigError, match="1 episode of another model.*probe differ"):
         server_record(policy, folder, 2, 120.0)
 
 

@@ -152,7 +152,7 @@ def test_a_dataset_replaces_no_other_one(url, tmp_path):
     upload_dataset(tmp_path / "dataset", url, overwrite=True)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "data").write_text("1")
-    with pytest.raises(ConfigError, match=r"has 1 files that are not of .*/other, e.g. info.json"):
+    with pytest.raises(ConfigError, match=r"has 1 file not of .*/other, e.g. info.json"):
         upload_dataset(tmp_path / "other", url, overwrite=True)
     with local_sources([url]) as [folder]:
         assert (folder / "info.json").read_text() == "[]"

@@ -7,6 +7,7 @@ import click
 from roboxim_cli import strict
 from roboxim_cli.commands.answers._policies import policy_options
 from roboxim_cli.options import option, print_json
+from roboxim_core.errors import counted
 
 
 @strict.command(begins="comparing policies")
@@ -91,4 +92,4 @@ def command(
         return
     for sentence in sentences:
         click.echo(sentence)
-    click.echo(f"{runs} runs")
+    click.echo(counted(runs, "run"))

@@ -9,6 +9,7 @@ import click
 from roboxim_cli import strict
 from roboxim_cli.commands.answers._policies import policy_options
 from roboxim_cli.options import print_json
+from roboxim_core.errors import counted
 
 
 @strict.command(begins="looking for causes")
@@ -64,4 +65,4 @@ def command(
         print_json(dataclasses.asdict(found) | {"sentence": found.sentence, "runs": runs})
         return
     click.echo(found.sentence)
-    click.echo(f"{runs} runs")
+    click.echo(counted(runs, "run"))

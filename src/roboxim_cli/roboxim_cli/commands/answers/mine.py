@@ -9,6 +9,7 @@ import click
 from roboxim_cli import strict
 from roboxim_cli.commands.answers._policies import policy_options
 from roboxim_cli.options import option, print_json
+from roboxim_core.errors import counted
 
 
 @strict.command(begins="looking for failures")
@@ -79,7 +80,8 @@ def command(
     if not any(region.confirmed for region in found.regions):
         click.echo("no region was confirmed")
     click.echo(
-        f"{found.failures} failures in {found.rollouts} rollouts over "
+        f"{counted(found.failures, 'failure')} in {counted(found.rollouts, 'rollout')} over "
         f"{', '.join(factor.name for factor in found.factors)}; "
-        f"{found.unsolved} scenes not solved by the expert, {found.infeasible} points without a scene"
+        f"{counted(found.unsolved, 'scene')} not solved by the expert, "
+        f"{counted(found.infeasible, 'point')} without a scene"
     )

@@ -9,6 +9,7 @@ import click
 from roboxim_cli import strict
 from roboxim_cli.named import Named
 from roboxim_cli.options import option, print_json
+from roboxim_core.errors import counted
 
 
 @strict.command("rotate", begins="planning the parts")
@@ -64,8 +65,8 @@ def join(cards: tuple[Path, ...], as_json: bool) -> None:
         print_json(sizes | {key: plain_interval(one) for key, one in intervals.items()})
         return
     click.echo(
-        f"{found.sets} held-out sets of {found.cells} cell{'s' * (found.cells != 1)}, {found.trainings} "
-        f"training{'s' * (found.trainings != 1)} of each condition a set"
+        f"{found.sets} held-out sets of {counted(found.cells, 'cell')}, "
+        f"{counted(found.trainings, 'training')} of each condition a set"
     )
     click.echo(f"  absolute  {found.absolute}")
     click.echo(f"  baseline  {found.baseline}")

@@ -11,6 +11,7 @@ from roboxim_cli import strict
 from roboxim_cli.commands.stages import _experiment_calibrate, _experiment_collect, _experiment_rotate
 from roboxim_cli.named import Named
 from roboxim_cli.options import experiment_options, experiment_run, option, print_json
+from roboxim_core.errors import counted
 from roboxim_core.plain_data.shell import shell_line
 from roboxim_core.whole_files import write_whole
 
@@ -348,10 +349,10 @@ def compare(folders: tuple[Path, ...], condition: str, where: str | None, out: P
     models, cards = compared(folders, condition=condition, where=where or "")
     width = max(map(len, models.models))
     where = "" if models.where == "all" else f"{models.where} "
-    click.echo(f"condition {models.condition}, {len(models.cells)} {where}cell{'s' * (len(models.cells) != 1)}")
+    click.echo(f"condition {models.condition}, {counted(len(models.cells), f'{where}cell')}")
     for name, model in models.models.items():
         rate = f"{100 * model.rate.value:.0f} % ({100 * model.rate.low:.0f} to {100 * model.rate.high:.0f})"
-        trained = f"{model.trainings} training{'s' * (model.trainings != 1)}"
+        trained = counted(model.trainings, "training")
         click.echo(f"  {name:<{width}}  {model.letters:<4} {rate}, {model.successes} of {model.episodes}, {trained}")
     for sentence in models.sentences:
         click.echo(f"  {sentence}")
@@ -381,7 +382,7 @@ def pack_run(folder: Path, out: Path | None, largest: int) -> None:
     from roboxim_runs.experiments.pack import pack
 
     found = pack(folder, out or folder.with_name(f"{folder.resolve().name}.tar.gz"), most_bytes=largest * 1_000_000)
-    click.echo(f"{found.files} files, {found.size / 1e6:.1f} MB: {found.path}")
+    click.echo(f"{counted(found.files, 'file')}, {found.size / 1e6:.1f} MB: {found.path}")
 
 
 @command.command("unpack", begins="unpacking")
@@ -392,7 +393,8 @@ def unpack_run(file: Path, out: Path) -> None:
     from roboxim_runs.experiments.pack import unpack
 
     found = unpack(file, out)
-    click.echo(f"{found.files} files in {found.path}; see: {shell_line('roboxim', 'experiment', 'report', found.path)}")
+    see = shell_line("roboxim", "experiment", "report", found.path)
+    click.echo(f"{counted(found.files, 'file')} in {found.path}; see: {see}")
 
 
 command.add_command(_experiment_calibrate.command)

@@ -8,6 +8,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.options import option
+from roboxim_core.errors import counted
 
 
 @strict.command(begins="merging")
@@ -31,9 +32,9 @@ def command(out: Path, shards: tuple[Path, ...], partial: bool) -> None:
     with EventPrinter() as printer:
         merged = merge_shards(out, shards, partial=partial, on_event=printer)
     for run in merged:
-        notes = [f"from {run.shards} folder{'s' * (run.shards != 1)}"]
+        notes = [f"from {counted(run.shards, 'folder')}"]
         if run.doubles:
             notes.append(f"{run.doubles} found in several")
         if run.missing:
             notes.append(f"{len(run.missing)} missing")
-        click.echo(f"{out / run.name}: {run.episodes} episode{'s' * (run.episodes != 1)} ({', '.join(notes)})")
+        click.echo(f"{out / run.name}: {counted(run.episodes, 'episode')} ({', '.join(notes)})")

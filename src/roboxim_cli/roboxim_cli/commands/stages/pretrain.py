@@ -9,6 +9,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.options import ABSENT_IS_ZERO, option
+from roboxim_core.errors import counted
 from roboxim_policies.learning.families import FAMILIES
 
 
@@ -60,7 +61,8 @@ def command(
         )
     exposure = result.exposure
     click.echo(
-        f"{result.checkpoint}: {exposure['episodes']} demonstrations of {len(exposure['skills'])} skills with "
-        f"{len(exposure['objects'])} objects in {len(exposure['looks'])} looks; {result.training.steps} steps"
+        f"{result.checkpoint}: {counted(exposure['episodes'], 'demonstration')} of "
+        f"{counted(len(exposure['skills']), 'skill')} with {counted(len(exposure['objects']), 'object')} in "
+        f"{counted(len(exposure['looks']), 'look')}; {counted(result.training.steps, 'step')}"
     )
     click.echo(f"next: roboxim train {family} DATASET --from {shell_line(result.checkpoint)} --steps 1000")

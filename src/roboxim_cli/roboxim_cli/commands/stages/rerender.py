@@ -9,6 +9,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.options import option
+from roboxim_core.errors import counted
 
 if TYPE_CHECKING:
     from roboxim_core.specs import LookSpec
@@ -74,7 +75,7 @@ def command(
     with EventPrinter() as printer:
         report = rerender(bags, out, config, workers=workers, on_event=printer)
     there = f" ({report.there} were there)" if report.there else ""
-    made = f"{report.made} episode{'s' if report.made != 1 else ''}"
+    made = counted(report.made, "episode")
     click.echo(
         f"{made} rendered with '{renderer}' into {out / 'episodes'}{there}"
         if report.made

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.errors import ConfigError, counted
 from roboxim_core.plain_data.documents import read_json
 from roboxim_core.plain_data.results_log import ResultsLog, line_of
 from roboxim_core.whole_files import write_whole
@@ -35,8 +35,8 @@ def attested_seed(out: Path) -> SceneSeed:
     require_own(out, "experiment attest", after=("experiment run", "benchmark"))
     if early := list(_uncommitted(out, stored_seed(out))):
         raise ConfigError(
-            f"{out}: {len(early)} trainings ended before a seed was committed to ({early[0]}), so that a commitment "
-            "shows nothing about them; attest a new folder, or run with --fresh, which the card states"
+            f"{out}: {counted(len(early), 'training')} ended before a seed was committed to ({early[0]}), so that a "
+            "commitment shows nothing about them; attest a new folder, or run with --fresh, which the card states"
         )
     return drawn_seed(out)
 
