@@ -171,9 +171,8 @@ class VectorChoice:
             ConfigError: When both or neither are given, or their values are invalid.
         """
         _check(bool(self.values), self.lower, self.upper, self.order)
-        vectors = self.values or (self.lower or (), self.upper or ())
-        if len({len(vector) for vector in vectors}) > 1:
-            raise ConfigError(f"vectors must have one length, got {[len(vector) for vector in vectors]}")
+        if len({len(vector) for vector in self.ends}) > 1:
+            raise ConfigError(f"vectors must have one length, got {[len(vector) for vector in self.ends]}")
         if self.lower is not None and self.upper is not None:
             for axis, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
                 if low > high:
@@ -193,6 +192,31 @@ class VectorChoice:
         if self.size != size:
             raise ConfigError(f"{name} must be vectors of {size} numbers, got {self.size}")
 
+    @property
+    def ends(self) -> tuple[tuple[float, ...], ...]:
+        """The vectors of the list, or both corners of the box."""
+        return self.values or (self.lower or (), self.upper or ())
+
+    def require_not_negative(self, name: str) -> None:
+        """Refuse vectors with a component below 0.
+
+        Raises:
+            ConfigError: When a value is invalid; names the key.
+        """
+        for vector in self.ends:
+            if min(vector, default=0.0) < 0:
+                raise ConfigError(f"{name} must be numbers >= 0, got {list(vector)}")
+
+    def require_not_zero(self, name: str) -> None:
+        """Refuse vectors without a length, and a box that is one.
+
+        Raises:
+            ConfigError: When a value is invalid; names the key.
+        """
+        without = [not any(vector) for vector in self.ends]
+        if any(without) if self.values else all(without):
+            raise ConfigError(f"{name} must be a vector of any length but 0, got {[0.0] * self.size}")
+
     def require_color(self, name: str) -> None:
         """Refuse vectors that are no colours.
 
@@ -200,7 +224,7 @@ class VectorChoice:
             ConfigError: When a value is invalid; names the key.
         """
         self.require_size(3, name)
-        for vector in self.values or (self.lower or (), self.upper or ()):
+        for vector in self.ends:
             if not all(0.0 <= component <= 1.0 for component in vector):
                 raise ConfigError(f"{name} must be red, green and blue from 0 to 1, got {list(vector)}")
 

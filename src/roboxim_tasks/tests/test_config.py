@@ -73,6 +73,18 @@ CELL = "cells:\n  - tasks: [pick_up, rotate]\n    models: {target: [cube, apple]
             ["reset.surfaces.floor.color (line 5)", "from 0 to 1"],
         ),
         (RESET + "lights:\n    intensity: {values: [bright]}", ["reset.lights.intensity (line 4)", "a number >= 0"]),
+        (
+            RESET + "lights:\n    direction: [[0, 0, -1], [0, 0, 0]]",
+            ["reset.lights.direction (line 4)", "length but 0"],
+        ),
+        (
+            RESET + "lights:\n    direction: {lower: [0, 0, 0], upper: [0, 0, 0]}",
+            ["reset.lights.direction (line 4)", "length but 0"],
+        ),
+        (
+            RESET + "lights:\n    ambient: {lower: [-0.1, 0, 0], upper: [1, 1, 1]}",
+            ["reset.lights.ambient (line 4)", "numbers >= 0, got [-0.1, 0.0, 0.0]"],
+        ),
         ("parameters: {lift_m: high}", ["parameters.lift_m (line 1)", "number"]),
         ("parameters:\n  hold_s: -1", ["parameters.hold_s (line 2)", "hold_s >= 0"]),
         ("lenient:\n  lift_mm: 3", ["lenient.lift_mm (line 2)", "lift_m"]),

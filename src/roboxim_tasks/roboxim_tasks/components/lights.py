@@ -54,13 +54,13 @@ class LightsResetConfig:
     color: VectorChoice | None = None
     """sRGB colour of the light, each component 0..1."""
     direction: VectorChoice | None = None
-    """Direction that the light travels in, in the world."""
+    """Direction that the light travels in, in the world (any length > 0)."""
     position: VectorChoice | None = None
     """Position of the light in the world, if it is a lamp [m]."""
     radius: Choice | None = None
     """A lamp's radius [m], a sun's angular radius [rad]."""
     ambient: VectorChoice | None = None
-    """Radiance of the surroundings, one component per colour."""
+    """Radiance of the surroundings, one component >= 0 per colour."""
     lamps: LampsConfig = LampsConfig()
     """Further lamps."""
 
@@ -76,6 +76,10 @@ class LightsResetConfig:
                 choice.require_size(3, key)
         if self.color is not None:
             self.color.require_color("color")
+        if self.direction is not None:
+            self.direction.require_not_zero("direction")
+        if self.ambient is not None:
+            self.ambient.require_not_negative("ambient")
         if self.intensity is not None:
             self.intensity.require_numbers("intensity", lower=0.0)
         if self.radius is not None:
