@@ -6,8 +6,8 @@ import pytest
 from trained_experiment import SEEN_AND_UNSEEN, config, planted
 
 from roboxim_core.errors import ConfigError
+from roboxim_eval.benchmark.card import benchmark_scores
 from roboxim_eval.benchmark.config import benchmark_config
-from roboxim_eval.benchmark.scores import benchmark_scores
 from roboxim_eval.experiments import Outcomes, analyse, design_of
 from roboxim_eval.statistics.multiple import holm
 from roboxim_eval.statistics.paired import Pairs, paired_difference

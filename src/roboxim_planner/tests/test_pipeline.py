@@ -405,7 +405,10 @@ def test_an_elbow_that_only_the_rollout_moves_is_found(planner: Planner, tcp_dow
         plan = planner.plan_to_joints(PlanningScene(), start, goal)
         poses = planner.robot.tcp_poses(plan.sample(0.1).positions)
         deltas = [delta_between(a, b, 1.0) for a, b in zip(poses, poses[1:], strict=False)]
-        rolled = np.array([start, *(step.state.joints for step in controller.rollout(start, deltas))])
+        states = [controller.start(start)]
+        for delta in deltas:
+            states.append(controller.step(states[-1], delta).state)
+        rolled = np.array([state.joints for state in states])
         planned = elbows(plan.sample(0.01).positions)
         apart = [float(np.linalg.norm(planned - elbow, axis=1).min()) for elbow in elbows(rolled)]
         if max(apart) > 0.15:

@@ -8,7 +8,7 @@ clipping; stepping with that action again gives the same bits, so replay is exac
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -83,22 +83,6 @@ class DeltaController(Controller):
             left_workspace=left,
             unreached=unreached,
         )
-
-    def rollout(
-        self, joints: npt.ArrayLike, actions: Iterable[npt.ArrayLike], gripper: float = 1.0
-    ) -> tuple[ControlStep, ...]:
-        """Integrate consecutive actions, starting with an arm at rest.
-
-        Args:
-            joints: Arm joint positions at the start, shape (n,) [rad].
-            actions: The actions.
-            gripper: Opening at the start, 1 = open.
-        """
-        state, steps = self.start(joints, gripper), []
-        for action in actions:
-            steps.append(self.step(state, action))
-            state = steps[-1].state
-        return tuple(steps)
 
     def _clip(self, action: ActionArray) -> tuple[ActionArray, bool]:
         from scipy.spatial.transform import Rotation

@@ -11,10 +11,11 @@ from typing import Any
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.errors import ConfigError, listed
 from roboxim_eval.benchmark.config import Reference
-from roboxim_eval.benchmark.scores import benchmark_scores
+from roboxim_eval.experiments import Analysis, ExperimentConfig
 from roboxim_eval.experiments.card import Card, sha256_of
 from roboxim_eval.experiments.card_checks import analysis_of, check_card
 from roboxim_eval.statistics.replicates import Interval
+from roboxim_eval.statistics.scores import DimensionScore, ExperimentScore, dimension_scores
 
 SCHEMA = "benchmark-3"
 """Version of the card's form; differs from that of an experiment's card."""
@@ -161,3 +162,24 @@ def check_benchmark_card(data: Any, *, source: str = "card") -> BenchmarkCard:
         if again[part] != data.get(part):
             raise ConfigError(f"{source}: its {part} do not follow from its experiments; it was changed")
     return card
+
+
+def benchmark_scores(experiments: Mapping[str, tuple[ExperimentConfig, Analysis]]) -> dict[str, DimensionScore]:
+    """Return the score of each dimension: the mean over the experiments that vary it.
+
+    Args:
+        experiments: Name to the experiment and its analysis.
+
+    Raises:
+        ConfigError: When an experiment has no scores, since it holds nothing out or has no baseline.
+    """
+    found = {}
+    for name, (config, analysis) in experiments.items():
+        if analysis.scores is None:
+            raise ConfigError(f"experiment '{name}' has no scores: it needs held-out cells and a baseline")
+        own = analysis.scores
+        found[name] = ExperimentScore(
+            dimensions=tuple(config.dimensions.values()), absolute=own.absolute, baseline=own.baseline,
+            gap=own.gap.interval(), relative=own.relative.ratio,
+        )  # fmt: skip
+    return dimension_scores(found)
