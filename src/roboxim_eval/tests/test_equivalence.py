@@ -165,6 +165,24 @@ def test_policies_of_an_evaluation_are_adjusted_too():
     assert "after adjustment for 8 comparisons" in among[0].sentence
 
 
+@pytest.mark.parametrize(
+    ("excluded", "said"), [(0, "scenes that both met"), (6, "without pairing their scenes (p ")]
+)  # fmt: skip
+def test_scenes_that_two_checkpoints_share_are_not_called_different_ones(excluded, said):
+    design = shipped("skill_object", replicates=1, per_cell=20)
+    keys = [cell.key for cell in design.cells]
+    numbers = dict.fromkeys(keys, 20) | {key: 20 - excluded for key in keys[::2]}
+    counts = {
+        name: [{key: Count(successes=number // 2, episodes=number) for key, number in numbers.items()}]
+        for name in design.config.conditions
+    }
+    pairs = {n: [Pairs(both=20, first=5, second=5, neither=20)] for n in range(len(design.config.compare))}
+    met = analyse(design, Outcomes(counts=counts, pairs=pairs)).comparisons[0].verdict.sentence
+    assert said in met
+    assert "different scenes" not in met
+    assert "on different scenes (p " in analyse(design, Outcomes(counts=counts)).comparisons[0].verdict.sentence
+
+
 @pytest.mark.slow
 def test_any_false_as_good_among_16_comparisons_is_rare():
     """Every change costs 10 points, the margin: without the adjustment a quarter of all experiments misses one."""

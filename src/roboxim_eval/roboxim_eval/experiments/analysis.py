@@ -95,12 +95,15 @@ def analyse(design: Design, outcomes: Outcomes) -> Analysis:
     """
     arms = {name: _arm(design, name, outcomes) for name in design.config.conditions}
     compares = sorted(enumerate(design.config.compare), key=lambda item: item[1] is not design.config.primary)
-    found = [(compare, _differences(design, arms, compare, outcomes.pairs.get(n, ()))) for n, compare in compares]
-    adjusted = holm([_p_value(difference) for _, difference in found])
-    as_good = holm([_p_as_good(difference, design.config.decide.margin) for _, difference in found])
+    pairs = [outcomes.pairs.get(n, ()) if _same_scenes(compare) else () for n, compare in compares]
+    found = [_differences(design, arms, one, shared) for (_, one), shared in zip(compares, pairs, strict=True)]
+    adjusted = holm([_p_value(difference) for difference in found])
+    as_good = holm([_p_as_good(difference, design.config.decide.margin) for difference in found])
     comparisons = tuple(
-        Comparison(config=compare, verdict=_verdict(design.config, compare, difference, p_value, equal))
-        for (compare, difference), p_value, equal in zip(found, adjusted, as_good, strict=True)
+        Comparison(config=compare, verdict=_verdict(design.config, compare, difference, p_value, equal, shared))
+        for (_, compare), difference, p_value, equal, shared in zip(
+            compares, found, adjusted, as_good, pairs, strict=True
+        )
     )
     own = _scores(design, arms, outcomes)
     warnings = (*(own.warnings if own else ()), *_errors(arms), *_empty(arms))
@@ -116,13 +119,17 @@ def _keys(design: Design, where: str) -> list[str]:
     return [cell.key for cell in chosen(design.cells, where)]
 
 
+def _same_scenes(compare: CompareConfig) -> bool:
+    """Tell whether both sides meet the same cells; otherwise pairs would be those of a condition with itself."""
+    return compare.against in ("", compare.where)
+
+
 def _differences(
     design: Design, arms: Mapping[str, Arm], compare: CompareConfig, pairs: Sequence[Pairs]
 ) -> ConditionDifference:
     first = arms[compare.first].within(_keys(design, compare.where))
     second = arms[compare.second].within(_keys(design, compare.against or compare.where))
-    same_scenes = compare.against in ("", compare.where)  # otherwise pairs would be those of a condition with itself
-    return condition_difference(first, second, pairs if same_scenes else (), same_cells=not compare.against)
+    return condition_difference(first, second, pairs, same_cells=not compare.against)
 
 
 def _p_value(difference: ConditionDifference) -> float:
@@ -146,8 +153,9 @@ def _p_as_good(difference: ConditionDifference, margin: float) -> float:
 
 
 def _verdict(
-    config: ExperimentConfig, compare: CompareConfig, difference: ConditionDifference, p_value: float, p_as_good: float
-) -> Verdict:
+    config: ExperimentConfig, compare: CompareConfig, difference: ConditionDifference, p_value: float,
+    p_as_good: float, shared: Sequence[Pairs],
+) -> Verdict:  # fmt: skip
     first, second = compare.first, compare.second
     margin, alpha, comparisons = config.decide.margin, config.decide.alpha, len(config.compare)
     if compare.against:
@@ -168,10 +176,9 @@ def _verdict(
     verdict = condition_verdict(first, second, difference, margin=margin, alpha=alpha)
     which = "These rates of one checkpoint" if compare.first == compare.second else "These two checkpoints"
     adjusted = " after adjustment" if comparisons > 1 else ""
-    return replace(
-        verdict,
-        sentence=f"{verdict.sentence} {which} differ by {apart} on different scenes (p {p_value:.2g}{adjusted}).",
-    )
+    # cells with unequal numbers of rollouts are not paired, see `condition_difference`
+    how = "without pairing their scenes" if any(pairs.scenes for pairs in shared) else "on different scenes"
+    return replace(verdict, sentence=f"{verdict.sentence} {which} differ by {apart} {how} (p {p_value:.2g}{adjusted}).")
 
 
 def _scores(design: Design, arms: Mapping[str, Arm], outcomes: Outcomes) -> Scores | None:
