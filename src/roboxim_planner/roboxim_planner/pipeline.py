@@ -278,7 +278,8 @@ class Planner(SceneChecks):
     ) -> Plan:
         """Try direct edges to the goals, nearest first; then search until a motion passes verification.
 
-        ``more`` returns more goal configurations; it is called when the first search finds no path to the known ones.
+        ``more`` returns the goal configurations of a longer search with another seed. They take the place of the known
+        ones when the first search gives no valid motion: most are near one of these, and the nearest one stays.
         """
         goals, owners = found
         world = worlds.eased(begin, goals)
