@@ -279,7 +279,7 @@ class Planner(SceneChecks):
         """Try direct edges to the goals, nearest first; then search until a motion passes verification.
 
         ``more`` returns the goal configurations of a longer search with another seed. They take the place of the known
-        ones when the first search gives no valid motion: most are near one of these, and the nearest one stays.
+        ones when the first search gives no valid motion: most are near one of these, the nearest one nearly always.
         """
         goals, owners = found
         world = worlds.eased(begin, goals)
