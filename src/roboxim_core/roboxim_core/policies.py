@@ -20,7 +20,7 @@ RGBImage = npt.NDArray[np.uint8]
 FREE = "free"
 """Phase of actions whose exact path does not matter: noise may be injected."""
 DESCENT = "descent"
-"""Phase of actions on the way to a grasp or a place, as long as the tool cannot touch anything: less noise may be."""
+"""Phase of a descent to a grasp or a place, before its last centimetres: noise may be injected if the run wants it."""
 RECOVERY = "recovery"
 """Phase of actions of a further try, after the first one failed: the episode is not a first-try success."""
 

@@ -100,7 +100,7 @@ class RunConfig:
     noise_rotation_rad: float = 0.0
     """The same for rotations [rad]."""
     noise_descents: float = 0.0
-    """Share of that noise on the way to a grasp or a place, while the tool cannot touch anything, 0..1."""
+    """Share of that noise on descents, until 5 cm before a grasp and 3 cm before a place, 0..1."""
     output_dir: str = ""
     """Folder for bags, absolute; empty: record nothing."""
 

@@ -81,7 +81,7 @@ class NoiseConfig:
     rotation_mrad: float = 20.0
     """Standard deviation per axis and tick [mrad]."""
     descents: float = 0.0
-    """Share of this noise on the way to a grasp or a place, while the tool cannot touch anything, 0..1."""
+    """Share of this noise on descents, until 5 cm before a grasp and 3 cm before a place, 0..1."""
 
     def __post_init__(self) -> None:
         """Check the values.

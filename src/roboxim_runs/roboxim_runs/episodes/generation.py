@@ -41,7 +41,7 @@ class GenerationConfig(EpisodesConfig):
     noise_mrad: float = 10.0
     """Standard deviation of the rotation noise, per axis and tick [mrad]."""
     noise_descents: float = 0.0
-    """Share of this noise on the way to a grasp or a place, while the tool cannot touch anything, 0..1."""
+    """Share of this noise on descents, until 5 cm before a grasp and 3 cm before a place, 0..1."""
     first_try: bool = False
     """Whether to draw an index again if its demonstration needed a second grasp. Exports leave such demonstrations out,
     so that without this a dataset may have fewer episodes in some cells of a mix than in others."""

@@ -41,7 +41,7 @@ from roboxim_core.plain_data.shell import shell_line
     default=0.0,
     show_default=True,
     metavar="SHARE",
-    help="Share of this noise on the way to a grasp or a place, while the tool cannot touch anything.",
+    help="Share of this noise on descents, until 5 cm before a grasp and 3 cm before a place.",
 )
 def command(size: str, executor: str, address: str, resources: str, **options: Any) -> None:
     r"""Generate demonstrations of a task with the expert; each becomes a bag in OUT/episodes.
