@@ -93,7 +93,7 @@ def test_a_card_is_checked_against_its_counts(card):
         check_card({**data, "verdicts": data["verdicts"][:1]})
     with pytest.raises(ConfigError, match="its sha256 do not follow"):
         check_card({**data, "datasets": {"leave_out.0": {"sha256": "0", "by_cell": {}, "fault": "", "faulty": 0}}})
-    with pytest.raises(ConfigError, match="no card of schema 2 or 3, found 1"):
+    with pytest.raises(ConfigError, match="no card of schema 2, 3 or 4, found 1"):
         check_card({**data, "schema": 1})
 
 

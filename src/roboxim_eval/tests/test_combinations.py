@@ -81,7 +81,7 @@ def test_what_gives_no_curve_is_refused(change, error):
 
 
 def test_planted_policies_give_their_curve():
-    rates = {"seen_4": 0.3, "seen_6": 0.85, "seen_10": 0.85}
+    rates = {"seen_4": 0.3, "seen_6": 0.7, "seen_10": 0.7}
     card = planted_card(design_of(experiment_of(TEXT)), lambda condition, cell: rates[condition])
     assert check_card(card.plain) == card
     curve = card_curve(card)

@@ -64,11 +64,35 @@ def test_trainings_that_agree_leave_the_doubt_of_their_rollouts():
 
 
 def test_the_p_value_of_two_checkpoints_is_that_of_their_interval():
-    found = paired_difference(Pairs(both=500, first=30, second=40, neither=91))
-    half = (found.value - found.low) / 1.959964
-    z = (MARGIN + found.value) / half
-    assert found.p_as_good(MARGIN) == pytest.approx(math.erfc(z / math.sqrt(2)) / 2)
+    old = paired_difference(Pairs(both=500, first=30, second=40, neither=91), score=False)
+    half = (old.value - old.low) / 1.959964
+    z = (MARGIN + old.value) / half
+    assert old.p_as_good(MARGIN) == pytest.approx(math.erfc(z / math.sqrt(2)) / 2)
+    for pairs in (Pairs(both=500, first=30, second=40, neither=91), Pairs(both=50, first=0, second=2, neither=8)):
+        found = paired_difference(pairs)
+        p = found.p_as_good(MARGIN)
+        low, high = found.narrowed(p)
+        assert min(MARGIN + low, MARGIN - high) == pytest.approx(0, abs=1e-6)
+        assert found.narrowed(0.025) == pytest.approx((found.low, found.high))
     assert paired_difference(Pairs(both=0, first=8, second=0, neither=2)).p_as_good(MARGIN) > 0.5
+
+
+@pytest.mark.parametrize("scenes", [20, 60, 120])
+def test_a_checkpoint_that_solves_a_tenth_less_is_seldom_called_as_good(scenes):
+    """By all outcomes with their probabilities, at every share of scenes that the worse one alone solves."""
+    from scipy.stats import multinomial
+
+    outcomes = [(b, c) for b in range(scenes + 1) for c in range(scenes + 1 - b)]
+    said = [
+        paired_difference(Pairs(both=scenes - b - c, first=b, second=c, neither=0)).p_as_good(MARGIN) <= 0.05
+        for b, c in outcomes
+        if abs(b - c) <= MARGIN * scenes
+    ]
+    near = [(b, c) for b, c in outcomes if abs(b - c) <= MARGIN * scenes]
+    for gained in (0.0, 0.01, 0.05, 0.1, 0.2, 0.4):
+        rates = (gained, gained + MARGIN, max(0.0, 1 - 2 * gained - MARGIN))
+        chances = multinomial.pmf([(b, c, scenes - b - c) for b, c in near], scenes, rates)
+        assert chances[np.array(said)].sum() <= 0.055
 
 
 # ------------------------------------------------------------------ sentences

@@ -31,14 +31,51 @@ def test_newcombes_interval_for_different_scenes_agrees_with_statsmodels():
         assert (found.low, found.high) == pytest.approx((low, high), abs=1e-6)
 
 
-def test_newcombes_paired_interval_is_between_that_of_no_and_of_full_correlation():
+@pytest.mark.parametrize("score", [True, False])
+def test_a_paired_interval_is_between_that_of_no_and_of_full_correlation(score):
     apart = independent_difference(success_rate(42, 60), success_rate(33, 60))
-    paired = paired_difference(Pairs(both=30, first=12, second=3, neither=15))
+    paired = paired_difference(Pairs(both=30, first=12, second=3, neither=15), score=score)
     assert apart.low < paired.low < paired.value < paired.high < apart.high
 
 
+def test_tangos_interval_agrees_with_a_published_one_and_mirrors():
+    # Fagerland, Lydersen and Laake, Statistics in Medicine 33 (2014): airway hyper-responsiveness of 21 children
+    found = paired_difference(Pairs(both=1, first=1, second=7, neither=12))
+    assert (found.low, found.high) == pytest.approx((-0.517, -0.026), abs=5e-4)
+    mirrored = paired_difference(Pairs(both=1, first=7, second=1, neither=12))
+    assert (mirrored.low, mirrored.high) == pytest.approx((-found.high, -found.low))
+
+
+@pytest.mark.parametrize("counts", [(0, 0, 7, 0), (0, 7, 0, 0), (7, 0, 0, 0), (0, 0, 0, 1), (3, 1, 0, 0)])
+def test_extreme_outcomes_have_an_interval_of_possible_differences(counts):
+    both, first, second, neither = counts
+    found = paired_difference(Pairs(both=both, first=first, second=second, neither=neither))
+    assert -1 <= found.low <= found.value <= found.high <= 1
+    assert found.high - found.low > 0.3
+    assert 0 <= found.p_as_good(0.1) <= 1
+
+
+@pytest.mark.parametrize("counts", [(30, 12, 3, 15), (50, 0, 6, 4), (5, 9, 9, 2)])
+def test_the_score_s_variance_is_that_of_the_most_likely_rates(counts):
+    """At a bound, the statistic with numerically most likely rates of discordant scenes is 1.96."""
+    both, first, second, neither = counts
+    found = paired_difference(Pairs(both=both, first=first, second=second, neither=neither))
+    scenes = sum(counts)
+    for bound in (found.low, found.high):
+        rates = np.linspace(max(0.0, -bound), (1 - bound) / 2, 200_001)[1:-1]  # of scenes that the second alone solves
+        with np.errstate(divide="ignore"):
+            chance = (
+                first * np.log(rates + bound) + second * np.log(rates)
+                + (both + neither) * np.log(1 - 2 * rates - bound)
+            )  # fmt: skip
+        rate = rates[np.argmax(chance)]
+        error = np.sqrt((2 * rate + bound - bound**2) / scenes)
+        assert abs(found.value - bound) / error == pytest.approx(1.96, abs=0.01)
+
+
+@pytest.mark.parametrize("score", [True, False])
 @pytest.mark.parametrize(("rate", "spread"), [(0.5, 0.0), (0.8, 1.5), (0.95, 1.5)])
-def test_newcombes_paired_interval_covers_the_truth(rate, spread):
+def test_the_paired_interval_covers_the_truth(rate, spread, score):
     rng = np.random.default_rng(4)
     middle = np.log(rate / (1 - rate))
     covered = 0
@@ -46,7 +83,7 @@ def test_newcombes_paired_interval_covers_the_truth(rate, spread):
         easy = middle + spread * rng.normal(size=60)
         chances = 1 / (1 + np.exp(-easy)), 1 / (1 + np.exp(-(easy - 0.8)))
         outcomes = zip(*(rng.random(60) < chance for chance in chances), strict=True)
-        found = paired_difference(Pairs.of(outcomes))
+        found = paired_difference(Pairs.of(outcomes), score=score)
         covered += found.low <= (chances[0] - chances[1]).mean() <= found.high
     assert covered / 200 > 0.915
 

@@ -18,7 +18,7 @@ from roboxim_eval.statistics.paired import Pairs, independent_difference, paired
 from roboxim_eval.statistics.rates import success_rate
 from roboxim_eval.statistics.replicates import MIN_REPLICATES, ConditionDifference, condition_difference
 from roboxim_eval.statistics.scores import Scores, scores
-from roboxim_eval.statistics.tables import Arm, Count, RateInterval
+from roboxim_eval.statistics.tables import Arm, Count, Intervals
 from roboxim_eval.statistics.verdicts import Verdict, checkpoint_verdict, condition_verdict
 
 MAX_ERRORS = 0.01
@@ -35,8 +35,13 @@ class Outcomes:
     """Number of a comparison to the outcomes of its conditions on shared scenes, for each replicate."""
     failed: Sequence[tuple[str, Collection[str]]] | None = None
     """Failed held-out episodes of the primary comparison's first condition, judged again; none: not judged again."""
-    rate_interval: RateInterval = "beta_binomial"
-    """Method of the intervals of success rates."""
+    intervals: Intervals = "beta_binomial_differences"
+    """Method of the intervals."""
+
+    @property
+    def score(self) -> bool:
+        """Whether two checkpoints are compared by Tango's score interval, as in cards since schema 4."""
+        return self.intervals == "beta_binomial_differences"
 
     def arm(self, condition: str) -> Arm:
         """Return the outcomes of a condition.
@@ -46,7 +51,7 @@ class Outcomes:
         """
         if condition not in self.counts:
             raise ConfigError(f"no outcomes of condition '{condition}'; {one_of(self.counts, condition)}")
-        return Arm(replicates=tuple(self.counts[condition]), rate_interval=self.rate_interval)
+        return Arm(replicates=tuple(self.counts[condition]), intervals=self.intervals)
 
     @property
     def arms(self) -> dict[str, Arm]:
@@ -98,9 +103,12 @@ def analyse(design: Design, outcomes: Outcomes) -> Analysis:
     pairs = [outcomes.pairs.get(n, ()) if _same_scenes(compare) else () for n, compare in compares]
     found = [_differences(design, arms, one, shared) for (_, one), shared in zip(compares, pairs, strict=True)]
     adjusted = holm([_p_value(difference) for difference in found])
-    as_good = holm([_p_as_good(difference, design.config.decide.margin) for difference in found])
+    margin, score = design.config.decide.margin, outcomes.score
+    as_good = holm([_p_as_good(difference, margin, score=score) for difference in found])
     comparisons = tuple(
-        Comparison(config=compare, verdict=_verdict(design.config, compare, difference, p_value, equal, shared))
+        Comparison(
+            config=compare, verdict=_verdict(design.config, compare, difference, p_value, equal, shared, score=score)
+        )  # fmt: skip
         for (_, compare), difference, p_value, equal, shared in zip(
             compares, found, adjusted, as_good, pairs, strict=True
         )
@@ -129,7 +137,10 @@ def _differences(
 ) -> ConditionDifference:
     first = arms[compare.first].within(_keys(design, compare.where))
     second = arms[compare.second].within(_keys(design, compare.against or compare.where))
-    return condition_difference(first, second, pairs, same_cells=not compare.against)
+    origins = {design.config.conditions[name].checkpoint_of or name for name in (compare.first, compare.second)}
+    return condition_difference(
+        first, second, pairs, same_cells=not compare.against, same_trainings=len(origins) == 1
+    )  # fmt: skip
 
 
 def _p_value(difference: ConditionDifference) -> float:
@@ -143,18 +154,18 @@ def _p_value(difference: ConditionDifference) -> float:
     return independent_difference(*difference.rollouts).p_value
 
 
-def _p_as_good(difference: ConditionDifference, margin: float) -> float:
+def _p_as_good(difference: ConditionDifference, margin: float, *, score: bool) -> float:
     """Return the p value of a difference within the margin by itself; 1 where none can be shown."""
     if difference.replicates >= MIN_REPLICATES:
         return difference.p_as_good(margin)
     if difference.replicates == 1 and difference.pairs is not None and difference.pairs.scenes:
-        return paired_difference(difference.pairs).p_as_good(margin)
+        return paired_difference(difference.pairs, score=score).p_as_good(margin)
     return 1.0
 
 
 def _verdict(
     config: ExperimentConfig, compare: CompareConfig, difference: ConditionDifference, p_value: float,
-    p_as_good: float, shared: Sequence[Pairs],
+    p_as_good: float, shared: Sequence[Pairs], *, score: bool,
 ) -> Verdict:  # fmt: skip
     first, second = compare.first, compare.second
     margin, alpha, comparisons = config.decide.margin, config.decide.alpha, len(config.compare)
@@ -170,7 +181,7 @@ def _verdict(
     if difference.pairs is not None and difference.pairs.scenes:
         return checkpoint_verdict(
             first, second, difference.pairs, margin=margin, alpha=alpha, p_value=p_value, p_as_good=p_as_good,
-            comparisons=comparisons,
+            comparisons=comparisons, score=score,
         )  # fmt: skip
     apart = independent_difference(*difference.rollouts)
     verdict = condition_verdict(first, second, difference, margin=margin, alpha=alpha)

@@ -19,13 +19,13 @@ from roboxim_core.config import from_plain, to_plain
 from roboxim_core.errors import ConfigError, one_of
 from roboxim_eval.experiments.config import ExperimentConfig
 from roboxim_eval.statistics.beside import Beside
-from roboxim_eval.statistics.tables import RateInterval
+from roboxim_eval.statistics.tables import Intervals
 
-SCHEMA = 3
+SCHEMA = 4
 """Version of the form of new cards."""
-RATE_INTERVALS: dict[int, RateInterval] = {2: "student", 3: "beta_binomial"}
-"""Version of a card's form to the method of its success rates' intervals. A published card keeps its own."""
-KNOWN = " or ".join(str(version) for version in RATE_INTERVALS)
+INTERVALS: dict[int, Intervals] = {2: "student", 3: "beta_binomial", 4: "beta_binomial_differences"}
+"""Version of a card's form to the method of its intervals. A published card keeps its own."""
+KNOWN = "2, 3 or 4"
 EXPOSURES = ("no", "yes", "unknown")
 NOT_HASHED = ("sha256", "times")
 
@@ -228,7 +228,8 @@ class Card:
     """Later fields, see `roboxim_core.config.LEFT_OUT`: cards without them keep their hashes."""
 
     schema: int = SCHEMA
-    """Version of this form; it decides the method of the intervals of success rates: 2 Student's t, 3 beta-binomial."""
+    """Version of this form; it decides the method of the intervals: 2 Student's t, 3 beta-binomial success rates, 4
+    beta-binomial differences too, and Tango's score interval of two checkpoints."""
     experiment: CardExperiment
     """The experiment."""
     code: CardCode = CardCode()
@@ -269,15 +270,15 @@ class Card:
         return (*(verdict.sentence for verdict in self.verdicts), *self.warnings)
 
     @property
-    def rate_interval(self) -> RateInterval:
-        """Method of the intervals of success rates.
+    def intervals(self) -> Intervals:
+        """Method of the intervals.
 
         Raises:
             ConfigError: When the schema is unknown.
         """
-        if self.schema not in RATE_INTERVALS:
+        if self.schema not in INTERVALS:
             raise ConfigError(f"unknown schema {self.schema} of a card; expected {KNOWN}")
-        return RATE_INTERVALS[self.schema]
+        return INTERVALS[self.schema]
 
     @property
     def plain(self) -> dict[str, Any]:
@@ -300,7 +301,7 @@ def sealed(card: Card) -> Card:
 
 def is_card(data: Any) -> bool:
     """Return whether plain data states that it is a card of a known schema."""
-    return isinstance(data, dict) and data.get("schema") in RATE_INTERVALS
+    return isinstance(data, dict) and data.get("schema") in INTERVALS
 
 
 def parse_card(data: Any, *, source: str = "card") -> Card:

@@ -45,7 +45,7 @@ def outcomes_of_card(card: Card) -> Outcomes:
         for number, rows in card.pairs.items()
     }
     failed = None if card.judged_again is None else [(row.cell, row.satisfied) for row in card.judged_again]
-    return Outcomes(counts=counts, pairs=pairs, failed=failed, rate_interval=card.rate_interval)
+    return Outcomes(counts=counts, pairs=pairs, failed=failed, intervals=card.intervals)
 
 
 def design_of_card(card: Card) -> Design:

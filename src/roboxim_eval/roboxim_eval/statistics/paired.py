@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from roboxim_core.errors import InvalidRequestError
-from roboxim_eval.statistics.equivalence import p_within
+from roboxim_eval.statistics.equivalence import NORMAL, p_within
 from roboxim_eval.statistics.rates import SuccessRate, success_rate
 
 
@@ -35,6 +35,13 @@ class Difference:
             margin: Largest difference that counts as equally good, 0..1.
         """
         return p_within(self.value, self.value - self.low, self.high - self.value, margin)
+
+    def narrowed(self, alpha: float) -> tuple[float, float]:
+        """Return the bounds at the confidence ``1 - 2 alpha``, by which two one-sided tests decide."""
+        from scipy.stats import norm
+
+        scale = float(norm.isf(alpha)) / NORMAL
+        return self.value - scale * (self.value - self.low), self.value + scale * (self.high - self.value)
 
     def __str__(self) -> str:
         """Format in points, e.g. ``-7.4 points (-15.0 to +0.2)``."""
@@ -92,32 +99,85 @@ class Pairs:
         )  # fmt: skip
 
 
-def paired_difference(pairs: Pairs) -> Difference:
-    """Compare two policies on the same scenes: exact McNemar test, Newcombe's interval.
+@dataclass(frozen=True, kw_only=True)
+class PairedDifference(Difference):
+    """A difference of two policies on the same scenes, whose intervals and tests are Tango's."""
+
+    pairs: Pairs
+    """The outcomes."""
+
+    def p_as_good(self, margin: float) -> float:
+        """Return the p value of two one-sided score tests of a difference within a margin, see `Difference`."""
+        from scipy.stats import norm
+
+        return max(float(norm.sf(_score(self.pairs, -margin))), float(norm.cdf(_score(self.pairs, margin))))
+
+    def narrowed(self, alpha: float) -> tuple[float, float]:
+        """Return the bounds at the confidence ``1 - 2 alpha``, see `Difference`."""
+        return _score_interval(self.pairs, alpha)
+
+
+def paired_difference(pairs: Pairs, *, score: bool = True) -> Difference:
+    """Compare two policies on the same scenes: exact McNemar test, Tango's score interval.
+
+    Args:
+        pairs: Outcomes of both.
+        score: Whether the interval is Tango's; otherwise it is Newcombe's, which is too narrow where one policy solves
+            all that the other does.
 
     Raises:
         InvalidRequestError: If there are no scenes.
 
     Source:
-        Newcombe (1998), Statistics in Medicine 17, 2635-2650, method 10 (score intervals, continuity-corrected
-        correlation).
+        Tango (1998), Statistics in Medicine 17, 891-908. Newcombe (1998), Statistics in Medicine 17, 2635-2650, method
+        10 (score intervals, continuity-corrected correlation).
     """
     from scipy.stats import binomtest
 
     if not pairs.scenes:
         raise InvalidRequestError("a comparison needs at least one scene that both policies met, got none")
+    discordant = pairs.first + pairs.second
+    value = (pairs.first - pairs.second) / pairs.scenes
+    p_value = float(binomtest(pairs.first, discordant).pvalue) if discordant else 1.0
+    if score:
+        low, high = _score_interval(pairs, 0.025)
+        return PairedDifference(value=value, low=low, high=high, p_value=p_value, pairs=pairs)
     one, two = pairs.rates
     phi = _correlation(pairs)
     below, above = one.rate - one.low, two.high - two.rate
     above_first, below_second = one.high - one.rate, two.rate - two.low
     value = one.rate - two.rate
-    discordant = pairs.first + pairs.second
     return Difference(
         value=value,
         low=value - _root(below, above, phi),
         high=value + _root(below_second, above_first, phi),
-        p_value=float(binomtest(pairs.first, discordant).pvalue) if discordant else 1.0,
+        p_value=p_value,
     )
+
+
+def _score(pairs: Pairs, difference: float) -> float:
+    """Return the score statistic of a difference, a standard normal number if it is the true one.
+
+    The variance is that of the most likely rates of discordant scenes with this difference (Tango 1998).
+    """
+    n, only_first, only_second = pairs.scenes, pairs.first, pairs.second
+    b = (2 * n - only_first + only_second) * difference - only_first - only_second
+    c = -only_second * difference * (1 - difference)
+    rate = (math.sqrt(max(0.0, b * b - 8 * n * c)) - b) / (4 * n)  # of scenes that the second alone solves
+    variance = n * (2 * rate + difference * (1 - difference))
+    above = only_first - only_second - n * difference
+    return above / math.sqrt(variance) if variance > 1e-12 else math.copysign(math.inf, above) if above else 0.0
+
+
+def _score_interval(pairs: Pairs, tail: float) -> tuple[float, float]:
+    """Return the differences at which each one-sided score test has the p value ``tail``."""
+    from scipy.optimize import brentq
+    from scipy.stats import norm
+
+    value, limit, end = (pairs.first - pairs.second) / pairs.scenes, float(norm.isf(tail)), 1 - 1e-9
+    low = brentq(lambda x: _score(pairs, x) - limit, -end, value) if value > -1 else -1.0
+    high = brentq(lambda x: _score(pairs, x) + limit, value, end) if value < 1 else 1.0
+    return float(low), float(high)
 
 
 def _correlation(pairs: Pairs) -> float:

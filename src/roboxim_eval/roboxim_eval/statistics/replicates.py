@@ -6,7 +6,8 @@ quarter of all experiments. The trainings are the sample here: one difference of
 Student's t over them.
 
 The interval is never narrower than that of the rollouts alone (Newcombe's). A few replicates can agree by chance, for
-example when both conditions always succeed; the sample's spread is then too small.
+example when both conditions always succeed; the sample's spread is then too small. Where a condition nearly always
+succeeds or fails, a model of the trainings' spread also widens the interval and decides about "as good".
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from roboxim_eval.statistics.equivalence import NORMAL, p_within, two_one_sided
 from roboxim_eval.statistics.paired import Pairs, paired_difference
 from roboxim_eval.statistics.rates import SuccessRate, success_rate
 from roboxim_eval.statistics.tables import Arm, require_same_replicates
-from roboxim_eval.statistics.training_spread import mean_rate_interval
+from roboxim_eval.statistics.training_spread import SCALE, MeanDifference, Trainings, mean_rate_interval
 
 MANY = 10**9
 """Degrees of freedom at which Student's t is the normal distribution."""
@@ -68,6 +69,8 @@ class ConditionDifference:
     pairs: Pairs | None = None
     """Outcomes of all replicates on the same scenes, which narrow the rollouts' share; none: the scenes differ, or
     cells of several replicates have different numbers of them. Those of one replicate are Q1's sample."""
+    model: MeanDifference | None = None
+    """Model of the mean difference of all trainings; none: both rates are far from 0 and 1, or the card is older."""
 
     @property
     def replicates(self) -> int:
@@ -85,21 +88,28 @@ class ConditionDifference:
         return float(np.std(self.differences, ddof=1)) if self.replicates > 1 else 0.0
 
     def interval(self, confidence: float = 0.95) -> Interval:
-        """Return the interval of the mean difference at a confidence level; unbounded for one replicate."""
+        """Return the interval of the mean difference at a confidence level; unbounded for one replicate.
+
+        It is the union of Student's t, of the rollouts' interval, and of the model's where there is one. The model does
+        not move a bound that excludes 0: equal conditions seldom seem to differ, near 0 and 1 too.
+        """
         if self.replicates < 2:
             return Interval(value=self.value, low=-math.inf, high=math.inf)
         half = _t_limit((1 + confidence) / 2, self.replicates - 1) * self.spread / math.sqrt(self.replicates)
         below, above = self._rollouts_alone(confidence)
-        return Interval(
-            value=self.value, low=max(-1.0, self.value - max(half, below)), high=min(1.0, self.value + max(half, above))
-        )
+        low, high = self.value - max(half, below), self.value + max(half, above)
+        if self.model is not None:
+            bounds = self.model.interval(confidence)
+            low = low if low > 0 else min(low, bounds[0])
+            high = high if high < 0 else max(high, bounds[1])
+        return Interval(value=self.value, low=max(-1.0, low), high=min(1.0, high))
 
     def _rollouts_alone(self, confidence: float) -> tuple[float, float]:
         """Return the distances of the bounds of the rollouts' interval below and above the difference."""
         first, second = self.rollouts
         scale = _t_limit((1 + confidence) / 2, MANY) / NORMAL
         if self.pairs is not None and self.pairs.scenes:
-            paired = paired_difference(self.pairs)
+            paired = paired_difference(self.pairs, score=False)
             return scale * (paired.value - paired.low), scale * (paired.high - paired.value)
         below = math.hypot(first.rate - first.low, second.high - second.rate)
         above = math.hypot(first.high - first.rate, second.rate - second.low)
@@ -127,7 +137,7 @@ class ConditionDifference:
         """Return the p value of two one-sided tests of a mean difference within a margin; 1 for one replicate.
 
         It is the smallest ``alpha`` at which the interval at the confidence ``1 - 2 alpha`` is within the margin: the
-        larger one of the t tests over replicates and of the rollouts' tests.
+        largest one of the t tests over replicates, of the rollouts' tests and of the model's.
 
         Args:
             margin: Largest difference that counts as equally good, 0..1.
@@ -138,11 +148,15 @@ class ConditionDifference:
             return 1.0
         error, freedom = self.spread / math.sqrt(self.replicates), self.replicates - 1
         by_trainings = two_one_sided(self.value, error, error, margin, tail=lambda x: student.sf(x, freedom))
-        return max(by_trainings, p_within(self.value, *self._rollouts_alone(0.95), margin))
+        found = max(by_trainings, p_within(self.value, *self._rollouts_alone(0.95), margin))
+        if self.model is None:
+            return found
+        excluded = (self.p_value / 2, 1.0) if self.value > 0 else (1.0, self.p_value / 2)  # bounds that stay
+        return max(found, *(min(pair) for pair in zip(excluded, self.model.p_beyond(margin), strict=True)))
 
 
 def condition_difference(
-    first: Arm, second: Arm, pairs: Sequence[Pairs] = (), *, same_cells: bool = True
+    first: Arm, second: Arm, pairs: Sequence[Pairs] = (), *, same_cells: bool = True, same_trainings: bool = False
 ) -> ConditionDifference:
     """Compare two conditions over the cells that both met.
 
@@ -151,6 +165,7 @@ def condition_difference(
         second: Outcomes of the second one, replicate by replicate with the same cells and scenes.
         pairs: Outcomes of each replicate on the scenes that both met; empty: the scenes differ.
         same_cells: Whether to require equal cells; otherwise their difficulty is part of the difference.
+        same_trainings: Whether the second condition evaluates the trainings of the first one in another way.
 
     Raises:
         InvalidRequestError: If replicates or cells differ.
@@ -165,6 +180,7 @@ def condition_difference(
         differences=tuple(float(d) for d in differences),
         rollouts=(pooled_rate(first), pooled_rate(second)),
         pairs=sum(pairs[1:], start=pairs[0]) if pairs and even else None,
+        model=_model(first, second, pairs if even else (), same_trainings=same_trainings),
     )
 
 
@@ -189,6 +205,31 @@ def equal_rollouts(arm: Arm) -> float:
     return len(counts) ** 2 / sum(1 / count for count in counts)
 
 
+def _model(first: Arm, second: Arm, pairs: Sequence[Pairs], *, same_trainings: bool) -> MeanDifference | None:
+    """Return the model of two conditions of which one is so near 0 or 1 that its trainings' rates are skewed.
+
+    Conditions of the same trainings differ by the scenes that they lose and by those that they gain, so that the model
+    is about these two rates; without pairs there is none.
+    """
+    modelled = {first.intervals, second.intervals} == {"beta_binomial_differences"}
+    near = any(min(arm.rate, 1 - arm.rate) < SCALE for arm in (first, second))
+    if len(first.replicates) < 2 or not (modelled and near):
+        return None
+    if not same_trainings:
+        return MeanDifference(first=_trainings(first), second=_trainings(second))
+    if not all(pair.scenes for pair in pairs) or len(pairs) < len(first.replicates):
+        return None
+    episodes = sum(pair.scenes for pair in pairs) / len(pairs)
+    lost, gained = ([getattr(pair, side) / pair.scenes for pair in pairs] for side in ("first", "second"))
+    return MeanDifference(
+        first=Trainings(rates=tuple(lost), episodes=episodes), second=Trainings(rates=tuple(gained), episodes=episodes)
+    )
+
+
+def _trainings(arm: Arm) -> Trainings:
+    return Trainings(rates=tuple(arm.rates.tolist()), episodes=equal_rollouts(arm) / len(arm.replicates))
+
+
 def pooled_rate(arm: Arm) -> SuccessRate:
     """Return the rate of an arm, the mean of its cells', as that of `equal_rollouts`."""
     episodes = max(1, round(equal_rollouts(arm)))
@@ -211,8 +252,8 @@ def condition_rate(arm: Arm) -> Interval:
         half = _t_limit(0.975, len(rates) - 1) * float(np.std(rates, ddof=1)) / math.sqrt(len(rates))
         below, above = max(below, half), max(above, half)
     low, high = max(0.0, arm.rate - below), min(1.0, arm.rate + above)
-    if len(rates) > 1 and arm.rate_interval == "beta_binomial":
-        bounds = mean_rate_interval(rates.tolist(), equal_rollouts(arm) / len(rates))
+    if len(rates) > 1 and arm.intervals != "student":
+        bounds = mean_rate_interval(_trainings(arm))
         low, high = min(low, bounds[0]), max(high, bounds[1])
     return Interval(value=arm.rate, low=low, high=high)
 
@@ -276,7 +317,8 @@ def more_trainings(difference: ConditionDifference, margin: float, *, alpha: flo
         alpha: Probability of a false alarm of this comparison, two-sided.
 
     Returns:
-        Number in addition to the present ones; none for one replicate, or if it is above `MAX_TRAININGS`.
+        Number in addition to the present ones; none for one replicate, or if it is above `MAX_TRAININGS`. Where a
+        model decides, it is at least the number with which the rates so far would show a difference within the margin.
     """
     if difference.replicates < 2 or margin <= 0:
         return None
@@ -288,5 +330,15 @@ def more_trainings(difference: ConditionDifference, margin: float, *, alpha: flo
     for replicates in range(max(2, difference.replicates, minimum), MAX_TRAININGS + 1):
         needed = _t_limit(1 - alpha / 2, replicates - 1) + _t_limit(0.8, replicates - 1)
         if needed * spread / math.sqrt(replicates) <= margin:
-            return replicates - difference.replicates
+            return max(replicates - difference.replicates, _more_for_model(difference, margin, alpha))
     return None
+
+
+def _more_for_model(difference: ConditionDifference, margin: float, alpha: float) -> int:
+    """Return how many more trainings with the rates so far would show a difference within the margin, up to 100.
+
+    0: the model shows it now, or more trainings would not.
+    """
+    model = difference.model
+    more = range(101) if model is not None else ()
+    return next((n for n in more if model is not None and max(model.extended(n).p_beyond(margin)) <= alpha), 0)

@@ -22,7 +22,7 @@ from roboxim_eval.statistics.components import student_limit
 from roboxim_eval.statistics.equivalence import NORMAL
 from roboxim_eval.statistics.replicates import ConditionDifference, Interval, condition_difference, condition_rate
 from roboxim_eval.statistics.tables import Arm, total
-from roboxim_eval.statistics.training_spread import mean_rate_interval
+from roboxim_eval.statistics.training_spread import Trainings, mean_rate_interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,8 @@ def rotated_score(parts: Sequence[Part]) -> RotatedScore:
             f"sets of {sorted(sizes)}"
         )
     first, second = (_by_set([getattr(part, name) for part in parts]) for name in ("first", "second"))
-    gap, low, high = condition_difference(second, first), condition_rate(first), condition_rate(second)
+    gap = replace(condition_difference(second, first), model=None)  # the union with both rates' intervals has its part
+    low, high = condition_rate(first), condition_rate(second)
     union = _union(gap.interval(), high, low)
     return RotatedScore(
         sets=len(parts), cells=len(first.cells), trainings=len(parts[0].first.replicates),
@@ -147,6 +148,6 @@ def _within_sets(arms: Sequence[Arm]) -> Interval:
     every = (count for arm in arms for replicate in arm.replicates for count in replicate.values())
     counts = [count.episodes for count in every if count.episodes]
     episodes = len(counts) / rates.size * len(counts) / sum(1 / count for count in counts)
-    low, high = mean_rate_interval(alike.tolist(), episodes)
+    low, high = mean_rate_interval(Trainings(rates=tuple(alike.tolist()), episodes=episodes))
     value = float(rates.mean())
     return Interval(value=value, low=min(low, value), high=max(high, value))

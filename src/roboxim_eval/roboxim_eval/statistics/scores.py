@@ -158,7 +158,7 @@ def scores(
     u, s = leave_out.within(unseen), baseline.within(unseen)
     b = None if blind is None else blind.within(unseen)
     seen = tuple(cell for cell in leave_out.cells if cell not in unseen and cell in baseline.cells)
-    words = None if b is None else condition_difference(u, b)
+    words = None if b is None else condition_difference(u, b, same_trainings=True)
     competence = None
     if seen:
         competence = condition_difference(leave_out.within(seen), baseline.within(seen))

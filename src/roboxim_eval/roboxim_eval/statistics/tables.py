@@ -11,8 +11,9 @@ import numpy as np
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.poses import Array
 
-RateInterval = Literal["student", "beta_binomial"]
-"""Method of the interval of a condition's success rate, see `roboxim_eval.statistics.replicates.condition_rate`."""
+Intervals = Literal["student", "beta_binomial", "beta_binomial_differences"]
+"""Method of the intervals of conditions: where trainings spread near 0 and 1, the beta-binomial model of
+`roboxim_eval.statistics.training_spread` widens none, those of success rates, or also those of differences."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +43,8 @@ class Arm:
 
     replicates: tuple[Mapping[str, Count], ...]
     """For each training: cell to its count."""
-    rate_interval: RateInterval = "beta_binomial"
-    """Method of the interval of its success rate; ``student`` is that of cards of schema 2."""
+    intervals: Intervals = "beta_binomial_differences"
+    """Method of its intervals; older cards have the earlier ones."""
 
     def __post_init__(self) -> None:
         """Check that all replicates met the same cells.

@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from roboxim_eval.statistics.equivalence import NORMAL
 from roboxim_eval.statistics.paired import Pairs, paired_difference
 from roboxim_eval.statistics.replicates import MIN_REPLICATES, ConditionDifference, Interval, more_trainings
 
@@ -150,6 +149,7 @@ def checkpoint_verdict(
     comparisons: int = 1,
     alpha: float = 0.05,
     trained: tuple[bool, bool] = (True, True),
+    score: bool = True,
 ) -> Verdict:
     """Compare two checkpoints, or untrained policies, on the same scenes (Q1).
 
@@ -159,20 +159,22 @@ def checkpoint_verdict(
         pairs: Outcomes of both on each scene.
         margin: Largest difference that counts as equally good, 0..1.
         p_value: Adjusted p value, where several comparisons are made; none: that of the exact McNemar test.
-        p_as_good: Adjusted p value of a difference within the margin; none: by the scaled interval of the difference.
+        p_as_good: Adjusted p value of a difference within the margin; none: the difference's own.
         comparisons: Number of comparisons that the p values are adjusted for.
         alpha: Largest p value that shows a difference, or one within the margin; at most 0.05.
         trained: Whether each is a checkpoint; sentences name others, e.g. ``random``, without that word.
+        score: Method of the interval, see `paired_difference`.
 
     Raises:
         InvalidRequestError: If there are no scenes.
     """
-    found = paired_difference(pairs)
+    found = paired_difference(pairs, score=score)
     own = found.p_value if p_value is None else p_value
     interval = Interval(value=found.value, low=found.low, high=found.high)
     alone = found.p_as_good(margin)
     equal = alone if p_as_good is None else p_as_good
-    narrow = _narrowed(interval, alpha)
+    low, high = found.narrowed(alpha)
+    narrow = Interval(value=found.value, low=low, high=high)
     where = "on the one scene that both met" if pairs.scenes == 1 else f"on {pairs.scenes} scenes that both met"
     one, other = checkpoint_names(first, second, trained)
     starting = f"T{one[1:]}" if trained[0] else one
@@ -219,18 +221,6 @@ def checkpoint_names(first: str, second: str, trained: tuple[bool, bool]) -> tup
 def _raised(adjusted: float, alone: float) -> float:
     """Return by how much an adjustment raised a p value."""
     return max(1.0, adjusted / alone) if alone else 1.0
-
-
-def _narrowed(interval: Interval, alpha: float) -> Interval:
-    """Return the interval by which two one-sided tests decide, from that of 95 %."""
-    from scipy.stats import norm
-
-    scale = float(norm.isf(alpha)) / NORMAL
-    return Interval(
-        value=interval.value,
-        low=interval.value - scale * (interval.value - interval.low),
-        high=interval.value + scale * (interval.high - interval.value),
-    )
 
 
 def _adjusted(p: float, comparisons: int) -> str:
