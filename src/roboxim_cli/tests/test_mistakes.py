@@ -44,6 +44,12 @@ def test_training_needs_a_dataset_not_a_run(run, tmp_path):
     assert not (tmp_path / "bc").exists()
 
 
+def test_a_share_of_no_noise_is_refused(tmp_path):
+    said = mistake("generate", "--noise-descents", 1, "--noise-mm", 0, "--noise-mrad", 0, "--out", tmp_path / "out")
+    assert "noise_descents 1 is a share of noise_mm and noise_mrad, which are both 0; set one of them" in said
+    assert not (tmp_path / "out").exists()
+
+
 def test_resources_of_trainings_need_a_cluster(tmp_path):
     given = ("--scale", "smoke", "--out", tmp_path / "out", "--training-resources", "GPU=1")
     for words in (("experiment", "run", "skill_object"), ("benchmark", "transfer")):

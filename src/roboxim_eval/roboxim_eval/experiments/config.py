@@ -87,11 +87,16 @@ class NoiseConfig:
         """Check the values.
 
         Raises:
-            ConfigError: When one is out of range.
+            ConfigError: When one is out of range, or ``descents`` is a share of no noise.
         """
         for name, maximum in (("translation_mm", 50.0), ("rotation_mrad", 200.0), ("descents", 1.0)):
             if not 0.0 <= getattr(self, name) <= maximum:
                 raise ConfigError(f"{name} must be from 0 to {maximum:g}, got {getattr(self, name):g}")
+        if self.descents and not (self.translation_mm or self.rotation_mrad):
+            raise ConfigError(
+                f"descents {self.descents:g} is a share of translation_mm and rotation_mrad, which are both 0; set one "
+                "of them, or leave descents out"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from roboxim_core.episode import EpisodeResult
-from roboxim_core.errors import ErrorCode, RoboximError, UnavailableError, counted
+from roboxim_core.errors import ErrorCode, InvalidRequestError, RoboximError, UnavailableError, counted
 from roboxim_core.limits import ATTEMPTS, require_range
 from roboxim_core.shards import Shard
 from roboxim_runs.episodes.pictures import write_contact_sheet
@@ -51,13 +51,18 @@ class GenerationConfig(EpisodesConfig):
 
         Raises:
             ConfigError: As for every run of episodes.
-            InvalidRequestError: On a number out of range.
+            InvalidRequestError: On a number out of range, or a share of no noise.
         """
         super().__post_init__()
         require_range("max_attempts", self.max_attempts, 1, ATTEMPTS)
         require_range("noise_mm", self.noise_mm, 0, 1000)
         require_range("noise_mrad", self.noise_mrad, 0, 1000)
         require_range("noise_descents", self.noise_descents, 0, 1)
+        if self.noise_descents and not (self.noise_mm or self.noise_mrad):
+            raise InvalidRequestError(
+                f"noise_descents {self.noise_descents:g} is a share of noise_mm and noise_mrad, which are both 0; set "
+                "one of them, or leave noise_descents out"
+            )
 
     def job(self) -> EpisodesJob:
         """Return the episodes to run.
