@@ -52,6 +52,16 @@ def test_a_dataset_is_described_and_viewed(dataset, tmp_path):
         CliRunner().invoke(command, ["view", str(dataset), "--out", "v.gif"], catch_exceptions=False)
 
 
+def test_no_dataset_is_written_into_the_folder_of_a_run(dataset, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.json").write_text("{}")
+    for words in (["convert", "rlds", dataset], ["merge", dataset], ["split", dataset, "--into", "train=3,val=0"]):
+        said = f"run is the folder of 'roboxim generate', not of 'roboxim dataset {words[0]}'"
+        with pytest.raises(ConfigError, match=said):
+            CliRunner().invoke(command, [*map(str, words), "--out", str(tmp_path / "run")], catch_exceptions=False)
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["run.json"]
+
+
 def test_a_converted_copy_is_equal_and_a_divided_one_is_not(dataset, tmp_path):
     run("convert", "rlds", dataset, "--out", tmp_path / "c", "--encoding", "png", "--name", "mine")
     assert "EQUAL" in run("diff", dataset, tmp_path / "c", "--images", "exact")

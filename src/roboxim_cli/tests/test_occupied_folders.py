@@ -63,6 +63,30 @@ def test_what_a_folder_holds_is_said_before_anything_is_written(command, tmp_pat
         assert content(tmp_path) == before
 
 
+@pytest.mark.parametrize("form", ["rlds", "lerobot", "hdf5"])
+def test_an_export_is_written_beside_nothing_but_datasets_of_its_format(form, tmp_path):
+    for name, held in {**HELD, "run/run.json": "is the folder of 'roboxim generate', not"}.items():
+        file = tmp_path / name
+        file.parent.mkdir(parents=True)
+        file.write_text("{}")
+        out, before = tmp_path / name.partition("/")[0], content(tmp_path)
+        said = refusal("export", form, tmp_path / "nothere", "--out", out)
+        if f"({form})" in held:
+            assert "no such folder" in said
+        else:
+            assert f"{out} {held} " in said
+            assert f"e.g. {out}-{form}" in said
+        assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize("there", ["roboxim/1.0.0", "roboxim/.partial-1.0.0"])
+def test_an_export_that_is_there_or_was_begun_is_continued(there, tmp_path):
+    (tmp_path / "run.json").write_text("{}")
+    (tmp_path / there).mkdir(parents=True)
+    assert "no such folder" in refusal("export", "rlds", tmp_path / "nothere", "--out", tmp_path)
+    assert "is the folder of" in refusal("export", "rlds", tmp_path / "nothere", "--out", tmp_path, "--name", "mine")
+
+
 def test_the_command_of_a_run_is_named_and_folders_of_folders_are_free(tmp_path):
     (tmp_path / "runs" / "demos").mkdir(parents=True)
     (tmp_path / "runs" / "demos" / "run.json").write_text(json.dumps({"purpose": "eval"}))

@@ -72,7 +72,7 @@ class ResumableBuild:
             RecorderError: With code ``EXPORT_REFUSED`` when something stands at the final place that must stay.
         """
         self.path, self._overwrite, self._marker = path, overwrite, marker
-        self._folder = path.with_name(f".partial-{path.name}")
+        self._folder = partial_of(path)
         self._replaced = self._folder / "replaced"
         restore(path, self._replaced)
         self._require_place()
@@ -152,6 +152,11 @@ class ResumableBuild:
             shutil.rmtree(self.staged)
         else:
             self.staged.unlink(missing_ok=True)
+
+
+def partial_of(path: Path) -> Path:
+    """Return the folder beside a dataset's final place in which it is built."""
+    return path.with_name(f".partial-{path.name}")
 
 
 def replace_whole(new: Path, place: Path, aside: Path) -> None:

@@ -22,7 +22,7 @@ from roboxim_recorder.export.rlds import ExportConfig
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
 from roboxim_runs.storage.folder import RunFolder, path_as_given, wanted_indices
-from roboxim_runs.storage.occupied import command_of
+from roboxim_runs.storage.occupied import command_of, require_free_for_dataset
 
 REPLAY_FILE = "replay.json"
 """File beside a dataset that has passed or not passed the gate, with every episode and tick."""
@@ -107,7 +107,7 @@ def export_dataset(
 
     Raises:
         CancelledError: When the export was cancelled.
-        ConfigError: On an unknown format.
+        ConfigError: On an unknown format, or when the target is a run, a training or another command's folder.
         InvalidRequestError: On a name, camera or size that does not fit.
         RecorderError: ``EXPORT_REFUSED`` when there is nothing to export, when bags are missing or do not fit together,
             when the dataset exists, or when it does not pass the gate; ``BAG_DAMAGED`` naming the bag; ``DISK`` when it
@@ -115,6 +115,10 @@ def export_dataset(
     """
     target = path_as_given(target)
     sources = [expanded(path) for path in ([source] if isinstance(source, str | Path) else source)]
+    exporter = EXPORTERS[format]()
+    settings = config if config is not None else exporter.config()
+    if isinstance(settings, exporter.config):  # else `export_bags` refuses it
+        require_free_for_dataset(target, exporter.path(target, settings), format, f"export {format}")
     reporter = Reporter(on_event, cancellation)
     for note in filter(None, map(unfinished, sources)):
         reporter.notice(f"{note}; later episodes need another export with --overwrite or overwrite=True")
@@ -138,9 +142,7 @@ def export_dataset(
         return replayed.refusal
 
     if gate:
-        exporter = EXPORTERS[format]()
-        place = exporter.path(target, config if config is not None else exporter.config())
-        return gated(target, place, export, refusal, overwrite=overwrite)
+        return gated(target, exporter.path(target, settings), export, refusal, overwrite=overwrite)
     return export(target, "overwrite" if overwrite else "keep")
 
 

@@ -11,13 +11,14 @@ from roboxim_core.user_folders import expanded
 from roboxim_datasets.choosing import chosen_plan
 from roboxim_datasets.compare import LOWEST_PSNR_DB, Comparison, Images, compare
 from roboxim_datasets.dataset import Dataset
-from roboxim_datasets.formats import open_dataset
+from roboxim_datasets.formats import FORMATS, open_dataset
 from roboxim_datasets.plans import Plan, plan_of, split_plan
 from roboxim_datasets.rewrite import Written, options_like, require_all_shards, write_dataset
 from roboxim_recorder.driven import DrivenDataset, is_driven
 from roboxim_runs.events import OnEvent, Reporter, ignore
 from roboxim_runs.executors import Cancellation
 from roboxim_runs.storage.folder import path_as_given
+from roboxim_runs.storage.occupied import require_free_for_dataset
 
 __all__ = ["Comparison", "Written", "compare_datasets", "convert_dataset", "merge_datasets", "split_dataset"]
 
@@ -53,7 +54,8 @@ def convert_dataset(
 
     Raises:
         CancelledError: When the conversion was cancelled.
-        ConfigError: When there is no such dataset or format.
+        ConfigError: When there is no such dataset or format, or the target is a run, a training or another command's
+            folder.
         InvalidRequestError: When the format does not hold what the episodes have.
         RecorderError: ``EXPORT_REFUSED`` when the target exists or lies in the source; ``BAG_DAMAGED`` when the source
             cannot be read.
@@ -188,6 +190,9 @@ def _write(
     plan: Plan, target: Path, format: str, options: Any, how: str, reporter: Reporter, **more: Any
 ) -> Written:  # fmt: skip
     target = path_as_given(target)
+    made = FORMATS[format]()
+    place = made.path(target, options if options is not None else made.options())
+    require_free_for_dataset(target, place, format, f"dataset {how}")
     with (
         reporter.resumable("the same call or command continues it"),
         reporter.stage(f"writing {format}", sum(map(len, plan.values())), "episodes") as progress,

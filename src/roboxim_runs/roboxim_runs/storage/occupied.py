@@ -13,6 +13,7 @@ from typing import Any
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_json_object
 from roboxim_core.plain_data.results_log import RUN_FILE
+from roboxim_datasets.build import partial_of
 from roboxim_recorder.bag_writer import PLACES
 
 OWN_FILES = {
@@ -36,8 +37,9 @@ RLDS_LEVELS = 2
 
 
 def require_own(
-    folder: Path, command: str, *, own: Iterable[str] | None = None, after: Collection[str] = (), empty: bool = False
-) -> None:
+    folder: Path, command: str, *, own: Iterable[str] | None = None, after: Collection[str] = (), empty: bool = False,
+    beside: str = "",
+) -> None:  # fmt: skip
     """Refuse an output folder that holds something else.
 
     Args:
@@ -46,6 +48,7 @@ def require_own(
         own: Names in the folder of which its own has one; none: those of `OWN_FILES`.
         after: Other commands whose folder it continues in.
         empty: Whether files that are none of these things are refused, too.
+        beside: Format of datasets that may be there; empty: none.
 
     Raises:
         ConfigError: Naming what the folder is, and what to give instead.
@@ -57,14 +60,30 @@ def require_own(
         return
     if writer:
         held = f"is the folder of 'roboxim {writer}', not of 'roboxim {command}'"
-    elif found := _bags_in(folder) or _dataset_in(folder):
+    elif found := _bags_in(folder) or _dataset_in(folder, beside):
         held = f"is {found}, not the folder of 'roboxim {command}'"
     elif empty:
         held = f"has files and is not the folder of 'roboxim {command}'"
     else:
         return
-    beside = folder.with_name(f"{folder.resolve().name}-{command.rpartition(' ')[2]}")
-    raise ConfigError(f"{folder} {held}; choose a new or empty output folder (--out or out=), e.g. {beside}")
+    other = folder.with_name(f"{folder.resolve().name}-{command.rpartition(' ')[2]}")
+    raise ConfigError(f"{folder} {held}; choose a new or empty output folder (--out or out=), e.g. {other}")
+
+
+def require_free_for_dataset(folder: Path, place: Path, format: str, command: str) -> None:
+    """Refuse to write a dataset into a folder that holds something else than datasets of its format.
+
+    Args:
+        folder: The output folder.
+        place: Place of the dataset: the folder, or in it. If it exists, or was begun, its writer decides.
+        format: Its format.
+        command: The command that is about to write.
+
+    Raises:
+        ConfigError: As `require_own`.
+    """
+    own = [str(at.relative_to(folder)) for at in (place, partial_of(place)) if folder in at.parents]
+    require_own(folder, command, own=own, beside=format)
 
 
 def command_of(config: Mapping[str, Any]) -> str:
@@ -90,10 +109,12 @@ def _bags_in(folder: Path) -> str:
     return "a folder of bags" if any(any(folder.glob(f"{at}/{name}")) for at in below for name in BAGS) else ""
 
 
-def _dataset_in(folder: Path) -> str:
+def _dataset_in(folder: Path, besides: str) -> str:
     from roboxim_datasets.formats import FORMATS  # slow to import, and a new folder needs none
 
     for name in FORMATS:
+        if name == besides:
+            continue
         for at in FORMATS[name]().find(folder):
             levels = RLDS_LEVELS if name == "rlds" else int(at.is_file())
             if at == folder or folder in at.parents[:levels]:
