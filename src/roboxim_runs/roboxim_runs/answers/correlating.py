@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from roboxim_core.errors import ConfigError, InvalidRequestError, counted, one_of
+from roboxim_core.limits import echo
 from roboxim_core.plain_data.documents import read_json, read_text
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import outcomes_of_card
@@ -33,6 +35,8 @@ from roboxim_runs.storage.folder import RunFolder
 
 COLUMNS = ("policy", "cell", "successes", "trials")
 """Keys of a row; ``cell`` may be missing."""
+MAX_TRIALS = 10**9
+"""Largest number of trials of a row."""
 Table = Mapping[str, Arm]
 """Policy to its outcomes."""
 
@@ -77,8 +81,13 @@ def _stored(path: Path) -> Table:
 
 
 def _csv_rows(path: Path) -> Iterable[tuple[int, Any]]:
-    reader = csv.DictReader(io.StringIO(read_text(path)), restkey="further", strict=True)
+    reader = csv.DictReader(io.StringIO(read_text(path), newline=None), strict=True)
     try:
+        columns = list(reader.fieldnames or ())
+        if len(columns) == 1 and (found := re.search("[;\t|]", columns[0])):
+            raise ConfigError(f"{path}: columns are separated by commas, not by {found.group()!r}; save it as such")
+        if twice := [column for column in dict.fromkeys(columns) if columns.count(column) > 1]:
+            raise ConfigError(f"{path} has the column '{twice[0]}' twice; leave one out")
         yield from enumerate(reader, start=2)
     except csv.Error as error:
         raise ConfigError(f"{path} line {reader.line_num}: {error}") from None
@@ -96,21 +105,27 @@ def _table(rows: Iterable[tuple[int, Any]], source: str) -> Table:
         if not isinstance(row, Mapping):
             raise ConfigError(f"{where}: expected an object with {', '.join(COLUMNS)}, got {row!r}")
         for key in row:
+            if key is None:  # what follows the last column
+                raise ConfigError(f"{where}: has more values than the header has columns, e.g. {echo(row[key][0])}")
             if key not in COLUMNS:
                 raise ConfigError(f"{where}: unknown column '{key}'; {one_of(COLUMNS, str(key))}")
         for key in ("policy", "successes", "trials"):
             if row.get(key) in (None, ""):
                 raise ConfigError(f"{where}: has no {key}; expected the columns {', '.join(COLUMNS)}")
-        policy, cell = str(row["policy"]).strip(), str(row.get("cell") or WHOLE).strip()
+        policy, cell = (_name(row.get(key), f"{where}: {key}") for key in ("policy", "cell"))
+        if not policy:
+            raise ConfigError(f"{where}: the policy has no name; name it as in the other table")
         try:
             count = Count(successes=_whole(row["successes"]), episodes=_whole(row["trials"]))
         except (ValueError, InvalidRequestError) as error:
             raise ConfigError(
-                f"{where}: expected whole numbers with 0 <= successes <= trials, got {row['successes']!r} and "
-                f"{row['trials']!r}"
+                f"{where}: expected whole numbers with 0 <= successes <= trials, got {echo(row['successes'])} and "
+                f"{echo(row['trials'])}"
             ) from error
         if not count.episodes:
             raise ConfigError(f"{where}: a rate needs at least one trial, got 0")
+        if count.episodes > MAX_TRIALS:
+            raise ConfigError(f"{where}: trials must be at most {MAX_TRIALS}, got {echo(row['trials'])}")
         if cell in found.setdefault(policy, {}):
             raise ConfigError(f"{where}: policy '{policy}' has a row of this cell already; add both up")
         found[policy][cell] = count
@@ -122,6 +137,19 @@ def _table(rows: Iterable[tuple[int, Any]], source: str) -> Table:
     return {policy: _one(counts) for policy, counts in found.items()}
 
 
+def _name(value: Any, what: str) -> str:
+    """Return a name as text without spaces around it; `WHOLE` if there is none.
+
+    Raises:
+        ConfigError: When it is neither text nor a whole number.
+    """
+    if value is None:
+        return WHOLE
+    if isinstance(value, bool) or not isinstance(value, int | str):
+        raise ConfigError(f"{what}: expected a name, got {echo(value)}")
+    return str(value).strip()
+
+
 def _whole(value: Any) -> int:
     """Return a whole number; a share such as 0.8 is refused.
 
@@ -130,6 +158,8 @@ def _whole(value: Any) -> int:
     """
     if isinstance(value, bool) or not isinstance(value, int | str):
         raise ValueError(value)
+    if isinstance(value, str) and not re.fullmatch(r"[+-]?[0-9]+", value.strip()):
+        raise ValueError(value)  # e.g. 1_0, which is a number in Python alone
     return int(value)
 
 

@@ -73,12 +73,41 @@ def test_a_cell_that_one_policy_lacks_counts_for_none(tmp_path):
         ("policy,successes,trials\nbc,0,0\n", "row 2: a rate needs at least one trial"),
         ("policy,successes,trials\nbc,1,2\nbc,1,2\n", "row 3: policy 'bc' has a row of this cell already"),
         ("policy,cell,successes,trials\nbc,can,1,2\nbc,,1,2\n", "rows with a cell and one without"),
-        ("policy,successes,trials\nbc,1,2,3\n", "row 2: unknown column 'further'"),
+        ("policy,successes,trials\nbc,1,2,3\n", "row 2: has more values than the header has columns, e.g. '3'"),
+        ("policy,successes,trials,trials\nbc,1,2,3\n", "has the column 'trials' twice"),
+        ("policy;successes;trials\nbc;1;2\n", "columns are separated by commas, not by ';'"),
+        ("policy,successes,trials\n ,1,2\n", "row 2: the policy has no name"),
+        ("policy,successes,trials\nbc,1_0,2_0\n", "row 2: expected whole numbers"),
+        (
+            f"policy,successes,trials\nbc,1,{'9' * 400}\n",
+            "row 2: trials must be at most 1000000000, got '9+ ",
+        ),
     ],
 )
 def test_a_wrong_table_is_refused_by_row(tmp_path, text, error):
     with pytest.raises(ConfigError, match=error):
         read_results(written(tmp_path / "real.csv", text))
+
+
+@pytest.mark.parametrize(
+    ("changed", "error"),
+    [
+        ({"trials": 10**400}, "row 1: trials must be at most 1000000000"),
+        ({"policy": {"name": "bc"}}, r"row 1: policy: expected a name, got \{'name'"),
+        ({"cell": False}, "row 1: cell: expected a name, got False"),
+    ],
+)
+def test_a_wrong_row_of_json_is_refused(tmp_path, changed, error):
+    row = {"policy": "bc", "successes": 1, "trials": 2} | changed
+    with pytest.raises(ConfigError, match=error):
+        read_results(written(tmp_path / "real.json", json.dumps([row])))
+
+
+def test_a_cell_may_be_a_number_and_lines_may_end_as_on_an_old_mac(tmp_path):
+    rows = [{"policy": "bc", "cell": cell, "successes": 1, "trials": 2} for cell in (0, 1)]
+    assert read_results(written(tmp_path / "a.json", json.dumps(rows)))["bc"].cells == ("0", "1")
+    (tmp_path / "a.csv").write_bytes(REAL.replace("\n", "\r").encode())
+    assert read_results(tmp_path / "a.csv") == read_results(written(tmp_path / "b.csv", REAL))
 
 
 def test_other_faults_are_refused(tmp_path):

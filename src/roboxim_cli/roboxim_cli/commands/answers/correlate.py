@@ -42,8 +42,8 @@ def command(
     from roboxim_runs.answers.correlating import correlated
 
     both = [word.strip() for word in names.split(",")]
-    if len(both) != 2 or not all(both):
-        raise ConfigError(f"--names: expected two names with a comma between them, got '{names}'")
+    if len(both) != 2 or not all(both) or both[0] == both[1]:
+        raise ConfigError(f"--names: expected two different names with a comma between them, got '{names}'")
     found = correlated(table, ours, seed=seed)
     needed = None if no_plan else needed_policies(found, limit=limit, seed=seed)
     found_sentences = sentences(found, (both[0], both[1]))
