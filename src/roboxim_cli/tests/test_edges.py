@@ -253,6 +253,8 @@ def test_every_command_refuses_an_edge_in_a_line_or_begins(name, stopped_at_the_
         ("dataset", "view", "missing", "--out", "9" * 3000),
         ("gymnasium", "serve", "--host", "\U0001f916"),
         ("generate", "--workers", "0", "--out", "run"),
+        ("compare-policies", "zero", "random", "--episodes", "1000000000000"),
+        ("correlate", __file__, __file__, "--names", "a,a"),
         ("generate", "--workers", "99999999", "--shard", "3/2", "--out", "run"),
         ("generate", "--size", "0", "--out", "run"),
         ("evaluate", "--episodes", "nan", "--policy", "zero"),

@@ -38,6 +38,10 @@ class HalvingConfig:
         if min(self.first, self.fresh) < 1:
             raise ConfigError(f"first and fresh must be >= 1, got {self.first} and {self.fresh}")
 
+    def most(self, policies: int) -> int:
+        """Return the scenes of the last round of so many policies."""
+        return int(self.first * 2 ** max(0, (policies - 1).bit_length() - 1))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Round:

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 from roboxim_core.config import to_plain
 from roboxim_core.episode import ActorPort, Draw, RunConfig, configure_scene, executed_semantics
 from roboxim_core.errors import ConfigError, ErrorCode, SimError, TaskError
+from roboxim_core.limits import require_range
 from roboxim_core.plain_data.differences import differences
 from roboxim_core.seeds import SeedPath
 from roboxim_eval.answers.moments import SceneComparison, first_success, phase_at
 from roboxim_runs.answers.trying import Try, TryBench, executed_actions
+from roboxim_runs.episodes_config import MAX_EPISODES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +28,14 @@ class CompareRun:
     """Seed of the scenes."""
     run: RunConfig = RunConfig()
     """How the policies act."""
+
+    def __post_init__(self) -> None:
+        """Check the number of scenes.
+
+        Raises:
+            InvalidRequestError: When it is out of range.
+        """
+        require_range("scenes", self.scenes, 1, MAX_EPISODES)
 
 
 def compare(

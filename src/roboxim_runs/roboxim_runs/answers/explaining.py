@@ -67,12 +67,14 @@ def explain(
         on_doubt: Called with each of the explanation's doubts, as early as possible.
 
     Raises:
-        ConfigError: When nothing can be changed, the bag does not say how it was run, or the policy is not the recorded
-            one and does not repeat the outcome.
+        ConfigError: When the recorded episode succeeded, nothing can be changed, the bag does not say how it was run,
+            or the policy is not the recorded one and does not repeat the outcome.
         PolicyError: When the policy raises.
         RoboximError: On a fault of the simulator.
     """
     config = config or ExplainConfig()
+    if recorded is not None and recorded.outcome == "success":
+        raise ConfigError(f"{info.episode_id} succeeded, so that it has no failure to explain; give one that failed")
     changes = [c for c in changes_of(info, bench.graph.sim.library) if not config.only or c.name in config.only]
     if not changes:
         raise ConfigError(

@@ -128,6 +128,8 @@ def sweep(
         found = played(names, scenes, CHOOSING, purpose="train")
         return {name: [r.outcome == "success" for r in found[name].results] for name in names}
 
+    for scenes in (halving.most(len(by_name)), halving.fresh):
+        replace(config, episodes=scenes)  # refuses too many before the first scene
     choice = choose(list(by_name), play, halving)
     on_event(Notice(text=f"{choice.winner} is chosen; {counted(halving.fresh, 'fresh scene')}"))
     evaluation = played([choice.winner], halving.fresh, "fresh", purpose="eval", seed=config.seed + SEED_STEP)

@@ -118,6 +118,11 @@ def test_another_policy_than_the_recorded_one_is_named_or_refused(monkeypatch):
             explained(monkeypatch, given, now=("success", "xyz"), before=FAILED)
 
 
+def test_a_success_is_refused_before_anything_runs(monkeypatch):
+    with pytest.raises(ConfigError, match="e succeeded, so that it has no failure to explain"):
+        explained(monkeypatch, ("bc", "A"), now=FAILED, before=("success", "abc"))
+
+
 def test_an_exact_repetition_that_ends_otherwise_than_the_recording_is_named(monkeypatch):
     for now in (("failure", "xyz"), ("success", "xyz")):
         (doubt,) = explained(monkeypatch, ("bc", "A"), now=now, before=FAILED).doubts

@@ -77,6 +77,14 @@ def test_a_shard_and_equal_names_are_refused(calls, tmp_path):
     assert not calls
 
 
+def test_too_many_scenes_are_refused_before_the_first_one(calls, tmp_path):
+    for halving in (HalvingConfig(fresh=10**9), HalvingConfig(first=6_000_000)):
+        with pytest.raises(ConfigError, match="episodes must be at most 10000000, got"):
+            swept(tmp_path, halving=halving)
+    assert not calls
+    assert [HalvingConfig(first=8).most(policies) for policies in (2, 3, 4, 5, 8, 9)] == [8, 16, 16, 32, 32, 64]
+
+
 def test_checkpoints_are_named_by_their_folders_and_apart(monkeypatch):
     monkeypatch.setattr(sweeping, "read_description", lambda path: {"family": "act"})
     from pathlib import Path
