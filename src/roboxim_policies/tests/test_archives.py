@@ -66,3 +66,9 @@ def test_an_ordinary_archive_of_actions_is_read(tmp_path: Path) -> None:
     np.savez_compressed(tmp_path / "actions.npz", actions=np.zeros((5, 7), np.float32))
     actions, _ = load_actions(tmp_path / "actions.npz")
     assert actions.shape == (5, 7)
+
+
+def test_an_archive_of_something_else_is_said_to_be_no_checkpoint(tmp_path):
+    np.savez(tmp_path / "checkpoint.npz", weights=np.zeros(3))
+    with pytest.raises(ConfigError, match=r"checkpoint.npz is no checkpoint of a policy; give what 'roboxim train'"):
+        read_description(tmp_path)

@@ -79,6 +79,8 @@ def read_description(path: Path) -> dict[str, Any]:
     try:
         require_no_bomb(file)
         with np.load(file, allow_pickle=False) as archive:
+            if "said" not in archive:
+                raise ConfigError(f"{file} is no checkpoint of a policy; give what 'roboxim train' wrote")
             text = str(archive["said"])
     except UNREADABLE as error:
         raise ConfigError(f"{file} is not a readable checkpoint: {str(error) or type(error).__name__}") from None
