@@ -93,6 +93,9 @@ def test_a_card_is_checked_against_its_counts(card):
         check_card({**data, "verdicts": data["verdicts"][:1]})
     with pytest.raises(ConfigError, match="its sha256 do not follow"):
         check_card({**data, "datasets": {"leave_out.0": {"sha256": "0", "by_cell": {}, "fault": "", "faulty": 0}}})
+    for other in ({}, {"a": 1}, [], None, 3):
+        with pytest.raises(ConfigError, match="table.json is no card of an experiment; give the card.json"):
+            check_card(other, source="table.json")
     with pytest.raises(ConfigError, match="no card of schema 2, 3 or 4, found 1"):
         check_card({**data, "schema": 1})
 

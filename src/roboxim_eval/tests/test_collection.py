@@ -70,6 +70,9 @@ def test_what_gives_no_round_is_refused():
         next_round(planted(), 3)
     with pytest.raises(ConfigError, match="'baseline' is equally weak in all 4 cells.*both arms would have the same"):
         next_round(planted(lambda condition, cell: 1.0), 30)
+    one = TEXT.replace("baseline: {cells: all", "baseline: {cells: all, only: [{task: pick_up, target: cube}]")
+    with pytest.raises(ConfigError, match="'baseline' has one cell, 'pick_up target=cube', so that there is nothing"):
+        next_round(planted(config=experiment_of(one)), 30)
     text = TEXT.replace("cells: {blind: unseen}", "cells: {blind: unseen, baseline: unseen, leave_out: unseen}")
     with pytest.raises(ConfigError, match="'baseline' was not evaluated in pick_up target=soda_can"):
         next_round(planted(config=experiment_of(text)), 30)

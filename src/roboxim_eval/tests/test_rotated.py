@@ -38,7 +38,8 @@ def test_sets_are_disjoint_balanced_and_leave_every_level_to_be_seen(sets, held_
 
 
 @pytest.mark.parametrize(
-    ("sets", "held_out", "said"), [(2, 3, "at least 3"), (6, 4, "at most 3 cells"), (3, 0, "need")]
+    ("sets", "held_out", "said"),
+    [(2, 3, "at least 3"), (6, 4, "at most 3 a set, or fewer"), (3, 0, "need"), (19, 1, "has 18; give fewer sets$")],
 )
 def test_sets_that_do_not_exist_are_refused(sets, held_out, said):
     with pytest.raises(ConfigError, match=said):
@@ -73,13 +74,24 @@ def test_cards_of_parts_are_joined_and_others_are_refused():
     with pytest.raises(ConfigError, match="held out in two parts"):
         joined([*cards[:3], cards[0]])
     other = replace(cards[1].experiment.config, about="Another?")
-    with pytest.raises(ConfigError, match="more than the held-out set"):
+    with pytest.raises(ConfigError, match='more than the held-out set: about: .* in the first card, "Another'):
         joined([cards[0], replace(cards[1], experiment=replace(cards[1].experiment, config=other)), cards[2]])
     foreign = replace(cards[1], experiment=replace(cards[1].experiment, trainer="external"))
     with pytest.raises(ConfigError, match="different trainers: bc and external"):
         joined([cards[0], foreign, cards[2]])
     with pytest.raises(ConfigError, match="at least 3 parts"):
         joined(cards[:2])
+
+
+@pytest.mark.parametrize(
+    "changed", [lambda compare: (), lambda compare: (replace(compare[0], where="seen"),)], ids=["nothing", "seen cells"]
+)
+def test_cards_of_no_rotated_design_are_said_to_be_none(changed):
+    card = planted_card(parts_of()[0], lambda *_: 0.5)
+    config = replace(card.experiment.config, compare=changed(card.experiment.config.compare))
+    other = replace(card, experiment=replace(card.experiment, config=config))
+    with pytest.raises(ConfigError, match="no part of a rotated design.*'roboxim experiment rotate' wrote"):
+        joined([other] * 3)
 
 
 def test_an_experiment_with_combinations_is_not_rotated():

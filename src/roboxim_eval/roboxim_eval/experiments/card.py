@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 from roboxim_core.config import from_plain, to_plain
 from roboxim_core.errors import ConfigError, one_of
+from roboxim_core.limits import echo
 from roboxim_eval.experiments.config import ExperimentConfig
 from roboxim_eval.statistics.beside import Beside
 from roboxim_eval.statistics.tables import Intervals
@@ -311,10 +312,12 @@ def parse_card(data: Any, *, source: str = "card") -> Card:
         ConfigError: When the data is no card of this schema.
     """
     if not is_card(data):
-        found = data.get("schema") if isinstance(data, dict) else type(data).__name__
+        found = data.get("schema") if isinstance(data, dict) else None
         again = "run 'experiment report DIR' again"
+        if found is None:
+            raise ConfigError(f"{source} is no card of an experiment; give the card.json that 'experiment run' wrote")
         if str(found).startswith("benchmark-"):
             again = "of a benchmark's card, use 'benchmark report --from', or the card of one of its experiments"
-        raise ConfigError(f"{source} is no card of schema {KNOWN}, found {found!r}; {again}")
+        raise ConfigError(f"{source} is no card of schema {KNOWN}, found {echo(found)}; {again}")
     card: Card = from_plain(data, Card, source=source)
     return card

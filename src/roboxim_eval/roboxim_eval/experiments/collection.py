@@ -56,6 +56,8 @@ def next_round(card: Card, demonstrations: int, condition: str = "") -> Round:
     trained = [name for name, one in config.conditions.items() if one.train]
     rounds = all(name in trained for name in ARMS)
     condition = condition or (ARMS[0] if rounds else _first(config, trained))
+    if not trained:
+        raise ConfigError("the experiment trains no condition here, so that it has no datasets to add to")
     if condition not in trained:
         raise ConfigError(f"no condition '{condition}' is trained in this experiment; {one_of(trained, condition)}")
     sources = {arm: arm if rounds else condition for arm in ARMS}
@@ -74,6 +76,11 @@ def next_round(card: Card, demonstrations: int, condition: str = "") -> Round:
     success = {cell: met[cell] for cell in cells}
     weights = {cell: (one.episodes - one.successes + 0.5) / (one.episodes + 1) for cell, one in success.items()}
     chosen, even = shared_out(demonstrations, weights), shared_out(demonstrations, dict.fromkeys(cells, 1.0))
+    if len(cells) == 1:
+        raise ConfigError(
+            f"the dataset of '{condition}' has one cell, '{cells[0]}', so that there is nothing to choose; give a "
+            "condition or a card of several cells"
+        )
     if chosen == even and not rounds:
         raise ConfigError(
             f"'{condition}' is equally weak in all {len(cells)} cells of its dataset, so that both arms would have the "

@@ -61,8 +61,9 @@ class DatasetConfig:
         _require_where("cells", self.cells)
         if not 1 <= self.per_cell <= limits.MIX_EPISODES:
             raise ConfigError(f"per_cell must be from 1 to {limits.MIX_EPISODES}, got {self.per_cell}")
-        if self.more and min(self.more.values()) < 0:
-            raise ConfigError(f"more: numbers of demonstrations must be at least 0, got {self.more}")
+        for cell, more in self.more.items():
+            if not 0 <= more <= limits.MIX_EPISODES:
+                raise ConfigError(f"more: numbers must be from 0 to {limits.MIX_EPISODES}, got {more} of '{cell}'")
         if not 0.0 <= self.share <= 1.0 or bool(self.fault) != bool(self.share):
             raise ConfigError(f"share must be from 0 to 1, and above 0 with a fault alone; got {self.share:g}")
         if FORMAT in self.export:

@@ -15,11 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from roboxim_core.errors import ConfigError
+from roboxim_core.config import to_plain
+from roboxim_core.errors import ConfigError, counted
+from roboxim_core.plain_data.differences import differences
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card
 from roboxim_eval.experiments.cells import Cell, cells_of, chosen
-from roboxim_eval.experiments.config import DatasetConfig, ExperimentConfig
+from roboxim_eval.experiments.config import CompareConfig, DatasetConfig, ExperimentConfig
 from roboxim_eval.statistics.rotated import Part, RotatedScore, rotated_score
 
 MIN_SETS = 3
@@ -48,7 +50,7 @@ def held_out_sets(cells: Sequence[Cell], sets: int, held_out: int) -> tuple[tupl
     if held_out < 1 or sets * held_out > len(cells):
         raise ConfigError(
             f"{sets} disjoint sets of {held_out} cells need {sets * held_out} cells, the experiment has {len(cells)}; "
-            f"give at most {len(cells) // sets} cells a set, or fewer sets"
+            + (f"give at most {most} a set, or fewer sets" if (most := len(cells) // sets) else "give fewer sets")
         )
     number = len(cells)
     rows, low, high = [], [], []
@@ -110,8 +112,7 @@ def rotated(config: ExperimentConfig, sets: int, held_out: int, replicates: int 
     """
     if config.combinations is not None:
         raise ConfigError("an experiment with combinations is not rotated: its seen cells belong to its unseen ones")
-    primary = config.primary
-    if primary is None or primary.where != "unseen" or primary.against:
+    if not _rotatable(config):
         raise ConfigError("a rotated design needs a primary comparison of two conditions in unseen cells")
     cells = cells_of(config)
     before, first = len(chosen(cells, "seen")), config.replicates.first_seed
@@ -151,18 +152,19 @@ def joined(cards: Sequence[Card]) -> RotatedScore:
         ConfigError: When the cards are not parts of one design: other experiments, or held-out cells in common.
     """
     if len(cards) < MIN_SETS:
-        raise ConfigError(f"a rotated design has at least {MIN_SETS} parts, got {len(cards)} cards")
+        raise ConfigError(f"a rotated design has at least {MIN_SETS} parts, got {counted(len(cards), 'card')}")
     seen: set[str] = set()
     parts = []
-    for card in cards:
-        config, primary = card.experiment.config, card.experiment.config.primary
-        if _without_set(config) != _without_set(cards[0].experiment.config):
+    for number, card in enumerate(cards, start=1):
+        primary = _rotated_comparison(card)
+        others = [to_plain(_without_set(one.experiment.config)) for one in (cards[0], card)]
+        if others[0] != others[1]:
             names = f"{card.experiment.name} and {cards[0].experiment.name}"
-            raise ConfigError(f"{names} differ in more than the held-out set")
+            differing = differences(*others, words=("in the first card", f"in card {number}"))
+            raise ConfigError(f"{names} differ in more than the held-out set: {differing}")
         trainers = [_trainer(one) for one in (card, cards[0])]
         if trainers[0] != trainers[1]:
             raise ConfigError(f"the parts were trained by different trainers: {trainers[1]} and {trainers[0]}")
-        assert primary is not None
         cells = [cell.key for cell in chosen(design_of_card(card).cells, "unseen")]
         if twice := seen & set(cells):
             raise ConfigError(f"held out in two parts: {', '.join(sorted(twice))}; the sets must be disjoint")
@@ -170,6 +172,28 @@ def joined(cards: Sequence[Card]) -> RotatedScore:
         arms = outcomes_of_card(card).arms
         parts.append(Part(first=arms[primary.first].within(cells), second=arms[primary.second].within(cells)))
     return rotated_score(parts)
+
+
+def _rotated_comparison(card: Card) -> CompareConfig:
+    """Return the comparison of a part's conditions in its held-out cells.
+
+    Raises:
+        ConfigError: When the experiment is no part of a rotated design.
+    """
+    config = card.experiment.config
+    primary = config.primary
+    if primary is None or not _rotatable(config):
+        raise ConfigError(
+            f"{card.experiment.name} is no part of a rotated design: it does not compare two conditions in held-out "
+            "cells; give the cards of the experiments that 'roboxim experiment rotate' wrote"
+        )
+    return primary
+
+
+def _rotatable(config: ExperimentConfig) -> bool:
+    """Return whether an experiment compares two conditions in its held-out cells, which a rotation can choose."""
+    primary = config.primary
+    return config.combinations is None and primary is not None and primary.where == "unseen" and not primary.against
 
 
 def _trainer(card: Card) -> str:

@@ -27,6 +27,7 @@ from roboxim_eval.experiments.proving.cells_apart import PARTS, differing, undis
 from roboxim_eval.experiments.reductions import reductions
 from roboxim_eval.experiments.rotation import rotated
 from roboxim_eval.experiments.trainers import TRAINERS, TrainerConfig, trainer_config
+from roboxim_runs.episodes_config import MAX_EPISODES
 from roboxim_runs.experiments.delivery.demands import demands_in
 from roboxim_runs.experiments.trained.exports import require_readable
 from roboxim_runs.storage.occupied import require_own
@@ -141,8 +142,12 @@ def write_experiment(config: ExperimentConfig, path: Path) -> None:
         path: The YAML file.
 
     Raises:
-        ConfigError: When the file exists.
+        ConfigError: When the file exists, or its name does not end like that of a YAML file.
     """
+    if path.suffix not in (".yaml", ".yml"):  # `load_experiment` would take it for the name of an experiment
+        raise ConfigError(
+            f"an experiment's file must end in .yaml, got {path}; e.g. {path.with_name(path.name + '.yaml')}"
+        )
     _require_free(path)
     content = json.loads(json.dumps({**to_plain(config), "scales": {}}))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -246,6 +251,7 @@ def checked_design(name: str, config: ExperimentConfig, trainer: str = "") -> De
             cell of a dataset, or two conditions would be trained alike.
     """
     design = design_of(config, trainer_name(config, trainer))
+    _require_few_episodes(name, design)
     require_different(design)
     once = {cell.key: 1 for cell in design.cells}  # all mixes consist of these cells, with other counts
     mix = task_mix(mix_of(config, once), source=f"experiment '{name}'")
@@ -255,6 +261,21 @@ def checked_design(name: str, config: ExperimentConfig, trainer: str = "") -> De
             task_mix(mix_of(config, once, change), source=f"experiment '{name}'")
     _require_distinguishable(name, design, mix)
     return design
+
+
+def _require_few_episodes(name: str, design: Design) -> None:
+    """Refuse an experiment of which a stage would refuse its number of episodes.
+
+    Raises:
+        ConfigError: Naming the episodes, and the largest number.
+    """
+    stages = {"demonstrations": design.demonstrations}
+    stages |= {f"rollouts of '{one.condition}'": one.counts for one in design.evaluations}
+    for what, counts in stages.items():
+        if (number := sum(counts.values())) > MAX_EPISODES:
+            raise ConfigError(
+                f"experiment '{name}' has {number} {what}, at most {MAX_EPISODES} are allowed; take fewer"
+            )
 
 
 def _require_distinguishable(name: str, design: Design, mix: TaskMix) -> None:

@@ -248,6 +248,19 @@ def test_what_a_scale_changes_is_among_the_deviations(tmp_path):
         assert said in at_night.deviations[-1]
     write_experiment(at_night, tmp_path / "mine.yaml")
     assert load_experiment(str(tmp_path / "mine.yaml")).deviations == at_night.deviations
+    for name in ("mine", "mine.json", ".yaml"):  # names of experiments, to `experiment run`
+        with pytest.raises(ConfigError, match=f"must end in .yaml, got .*{name}; e.g. .*{name}.yaml"):
+            write_experiment(at_night, tmp_path / name)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.yaml"]
+
+
+def test_an_experiment_whose_stages_would_refuse_their_episodes_is_refused_before_it_is_planned():
+    config = load_experiment("skill_object", "laptop")
+    data = {name: replace(one, per_cell=10**6) for name, one in config.datasets.items()}
+    with pytest.raises(ConfigError, match="has 18000000 demonstrations, at most 10000000 are allowed"):
+        checked_design("mine", replace(config, datasets=data))
+    with pytest.raises(ConfigError, match="has 120000120 rollouts of 'leave_out', at most 10000000"):
+        checked_design("mine", replace(config, evaluate=replace(config.evaluate, per_cell=10**7)))
 
 
 def test_what_a_budget_chose_is_among_the_deviations():
