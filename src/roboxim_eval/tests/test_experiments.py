@@ -48,7 +48,8 @@ from roboxim_eval.experiments.design import require_different
         ("count: 5}", "count: 5, vary: []}", ["replicates.vary", "would have the same seed", "vary: [training]"]),
         ("count: 5}", "count: 5, vary: [train]}", ["replicates.vary", "unknown 'train'"]),
         (
-            "scales:", "noise: {descents: 1, translation_mm: 0, rotation_mrad: 0}\nscales:",
+            "scales:",
+            "noise: {descents: 1, translation_mm: 0, rotation_mrad: 0}\nscales:",
             ["noise", "descents 1 is a share of translation_mm and rotation_mrad, which are both 0", "set one"],
         ),
     ],
