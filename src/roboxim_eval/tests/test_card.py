@@ -200,6 +200,8 @@ def test_a_page_without_a_primary_comparison_shows_all_of_them_together(card):
     assert "(primary)" not in many
     assert 'id="cells"' not in many, "one cell has no heat map"
     one = experiment_page(ExperimentPage(card=card))
+    assert f"<h1>{card.experiment.name}, scale" in one
+    assert "<h1>mine-laptop, scale" in experiment_page(ExperimentPage(card=card, name="mine-laptop"))
     assert "All comparisons" not in one
     assert "(primary)" in one
     assert 'id="cells"' in one

@@ -63,6 +63,8 @@ class ExperimentPage:
 
     card: Card
     """The card."""
+    name: str = ""
+    """Name of the experiment; empty: the card's."""
     episodes: Sequence[Episode] = ()
     """Episodes of the final evaluations; empty: only the card is there, and no number has a link."""
     checkpoints: Sequence[Episode] = ()
@@ -89,7 +91,7 @@ def experiment_page(page: ExperimentPage) -> str:
     link: Link = episodes_link if page.episodes else no_link
     return render(
         "experiment.html",
-        title=f"{card.experiment.name}, scale {card.experiment.scale}",
+        title=f"{page.name or card.experiment.name}, scale {card.experiment.scale}",
         card=card,
         config=card.experiment.config,
         conditions=list(arms),

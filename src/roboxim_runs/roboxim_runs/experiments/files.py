@@ -134,6 +134,18 @@ def trainer_name(config: ExperimentConfig, trainer: str) -> str:
     return Path(trainer).stem if is_path(trainer) and trainer not in config.trainers else trainer
 
 
+def known_as(name: str) -> str:
+    """Return the name of an experiment for its page and for the rates of this machine; cards keep that of the file.
+
+    Args:
+        name: Its name or path, see `load_experiment`: the name of the file, of an ``experiment.yaml`` that of its
+            folder, since the files of published experiments are all called so.
+    """
+    path = Path(name)
+    folder = path.parent.name if is_path(name) and path.stem == "experiment" else ""
+    return path.stem if folder in ("", "..") else folder
+
+
 def write_experiment(config: ExperimentConfig, path: Path) -> None:
     """Write an experiment at its scale as a file that `load_experiment` reads; the file has no other scales.
 

@@ -32,7 +32,7 @@ from roboxim_runs.experiments.card import (
     results_sha256,
     stage_name,
 )
-from roboxim_runs.experiments.files import checked_design
+from roboxim_runs.experiments.files import checked_design, known_as
 from roboxim_runs.experiments.scenes.leakage import scene_leakage
 from roboxim_runs.experiments.trained.policies import policy_of
 from roboxim_runs.policies.specs import PolicySpec
@@ -218,7 +218,7 @@ def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int 
                 shown[int(number)] = film_strip(frames)
     episodes = with_pages(folder.path, episodes, sorted(shown))
     page = experiment_page(ExperimentPage(
-        card=card, episodes=episodes, checkpoints=checkpoint_episodes(folder), films=shown,
+        card=card, name=known_as(folder.file), episodes=episodes, checkpoints=checkpoint_episodes(folder), films=shown,
         command=reproduction(folder), warnings=scene_leakage(folder.design), place=_place(folder),
     ))  # fmt: skip
     path = folder.path / REPORT_FILE

@@ -41,7 +41,7 @@ from roboxim_runs.experiments.checks import (
     state_of,
 )
 from roboxim_runs.experiments.definitions import definitions
-from roboxim_runs.experiments.files import checked_design, load_experiment
+from roboxim_runs.experiments.files import checked_design, known_as, load_experiment
 from roboxim_runs.experiments.products import has_product, lost_products
 from roboxim_runs.experiments.provenance import (
     ATTEST_FILE,
@@ -166,7 +166,7 @@ def _run_stages(run: _Run, training_executor: Executor | None) -> ExperimentResu
         write_card(card, run.out)
         write_experiment_report(folder, card)
         if training_executor is None:
-            run.learn_rates(name)
+            run.learn_rates(known_as(run.config.experiment))
     return ExperimentResult(
         out=run.out, finished=tuple(s.name for s in run.stages if s.name in done), missing=missing,
         waiting=tuple(name for name in missing if run.waits_for_policy(name)), card=card,

@@ -22,6 +22,7 @@ from roboxim_runs.experiments.files import (
     benchmark_experiments,
     checked_design,
     fitted_experiment,
+    known_as,
     load_benchmark,
     load_experiment,
     mixes,
@@ -261,6 +262,21 @@ def test_an_experiment_whose_stages_would_refuse_their_episodes_is_refused_befor
         checked_design("mine", replace(config, datasets=data))
     with pytest.raises(ConfigError, match="has 120000120 rollouts of 'leave_out', at most 10000000"):
         checked_design("mine", replace(config, evaluate=replace(config.evaluate, per_cell=10**7)))
+
+
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [
+        ("skill_object", "skill_object"),
+        ("experiment", "experiment"),
+        ("mine/round1.yaml", "round1"),
+        ("docs/results/bc_uneven-laptop/experiment.yaml", "bc_uneven-laptop"),
+        ("experiment.yaml", "experiment"),
+        ("../experiment.yaml", "experiment"),
+    ],
+)
+def test_an_experiment_whose_file_is_called_so_is_known_by_its_folder(name, known):
+    assert known_as(name) == known
 
 
 def test_what_a_budget_chose_is_among_the_deviations():

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from planted_cards import RATES, planted_card
 
 from roboxim_cli.commands.stages.experiment import command, duration_s
+from roboxim_core.config import named_config
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments import SideBySide, design_of
 from roboxim_runs.experiments.calibration import measuring as calibration
@@ -115,6 +116,28 @@ def test_the_command_measures_trainings_side_by_side_once(monkeypatch):
     assert stored_rates("128x128", "skill_object") == OWN.learned(TWO)
     run.invoke(command, ["plan", "skill_object", "--scale", "laptop"], catch_exceptions=False)
     assert probed == [2], "one at a time was measured before"
+
+
+def test_files_of_one_name_in_two_folders_have_rates_of_their_own(monkeypatch, tmp_path):
+    files = [tmp_path / name / "experiment.yaml" for name in ("one", "other")]
+    for file in files:
+        file.parent.mkdir()
+        file.write_text(named_config("experiments", "skill_object").read_text())
+    store_rates(replace(OWN, experiment="one"))
+    measured = []
+
+    def measure(config, **_):
+        measured.append(config.mix.stem)
+        return replace(OWN, experiment=config.mix.stem)
+
+    monkeypatch.setattr(calibration, "calibrate", measure)
+    for file in files:
+        CliRunner().invoke(command, ["plan", str(file), "--scale", "laptop"], catch_exceptions=False)
+    assert measured == ["other"]
+    words = ["calibrate", "--experiment", str(files[0])]
+    said = CliRunner().invoke(command, words, catch_exceptions=False).output
+    assert said.endswith(f"stored in {rates_file('128x128', 'one')}\n")
+    assert measured == ["other", "one"]
 
 
 def test_the_benchmark_has_the_three_experiments_and_fits_a_night():

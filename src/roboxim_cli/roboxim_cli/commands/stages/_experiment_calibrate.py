@@ -33,13 +33,13 @@ def command(
     from roboxim_cli.printer import EventPrinter
     from roboxim_runs.experiments.calibration.measuring import CalibrationConfig, calibrate
     from roboxim_runs.experiments.calibration.rates import store_rates, stored_rates
-    from roboxim_runs.experiments.files import checked_design, load_experiment, write_mixes
+    from roboxim_runs.experiments.files import checked_design, known_as, load_experiment, write_mixes
 
     config = load_experiment(experiment, scale)
     design = checked_design(experiment, config)
     size = parse_size(config.image_size)
     with tempfile.TemporaryDirectory(prefix="roboxim-mixes-") as folder:
-        mix = write_mixes(design, Path(folder))[0].rename(Path(folder) / f"{experiment}.yaml")
+        mix = write_mixes(design, Path(folder))[0].rename(Path(folder) / f"{known_as(experiment)}.yaml")
         more: dict[str, Any] = {} if workers is None else {"workers": workers}
         settings = CalibrationConfig(
             mix=mix, size=size if isinstance(size, tuple) else (size, size), episodes=episodes, rollouts=rollouts,
@@ -89,9 +89,9 @@ def probed(name: str, config: ExperimentConfig, known: Rates | None, trainings: 
     from roboxim_cli.printer import EventPrinter
     from roboxim_runs.experiments.calibration.measuring import CalibrationConfig, calibrate, calibrate_trainings
     from roboxim_runs.experiments.calibration.rates import store_rates
-    from roboxim_runs.experiments.files import checked_design, write_mixes
+    from roboxim_runs.experiments.files import checked_design, known_as, write_mixes
 
-    stem = Path(name).stem
+    stem = known_as(name)
     own = known is not None and known.experiment == stem
     measured = known is not None and trainings in known.training_rates
     if known is not None and own and measured:

@@ -91,6 +91,7 @@ def plan(
         benchmark_experiments,
         checked_design,
         fitted_experiment,
+        known_as,
         load_benchmark,
         load_experiment,
         run_words,
@@ -115,7 +116,7 @@ def plan(
     }
     rates_of: dict[str, Rates | None] = {}
     for key, config in configs.items():
-        rates_of[key] = known = stored_rates(config.image_size, Path(key).stem)
+        rates_of[key] = known = stored_rates(config.image_size, known_as(key))
         if config.datasets and not no_probe:
             rates_of[key] = _experiment_calibrate.probed(key, config, known, at_once[key])
     if budget:
