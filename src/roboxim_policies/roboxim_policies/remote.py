@@ -14,10 +14,11 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
+from roboxim_core.closing import Closing
 from roboxim_core.config import from_json, from_plain, to_json
 from roboxim_core.conventions import (
     Convention,
@@ -83,7 +84,7 @@ def _spread(replies: Floats) -> float:
     return float((replies.max(axis=0) - replies.min(axis=0)).max())
 
 
-class RemotePolicy(BasePolicy):
+class RemotePolicy(BasePolicy, Closing):
     """A policy on a server, reached over a wire and understood by a convention."""
 
     def __init__(self, wire: Wire, convention: str | Convention, *, version: Version, name: str = "") -> None:
@@ -126,14 +127,6 @@ class RemotePolicy(BasePolicy):
         self._seed = 0
         self._most_rows = 0
         self._without_states = replace(self.convention, states=())
-
-    def __enter__(self) -> Self:
-        """Return the policy."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close the session."""
-        self.close()
 
     def connect(self) -> Metadata:
         """Return the server's metadata, after a check that the convention fits them.

@@ -12,6 +12,7 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.task import Future
 
+from roboxim_core.closing import Closing
 from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError
 from roboxim_ros.clients import Clients, wait_until
 
@@ -34,7 +35,7 @@ class GoalResult:
     """The action's result message."""
 
 
-class ActionCall:
+class ActionCall(Closing):
     """A client of one action. A context manager."""
 
     def __init__(self, clients: Clients, action_type: Any, name: str) -> None:
@@ -111,11 +112,3 @@ class ActionCall:
     def close(self) -> None:
         """Destroy the client."""
         self._clients.in_thread(self._client.destroy)
-
-    def __enter__(self) -> ActionCall:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close."""
-        self.close()

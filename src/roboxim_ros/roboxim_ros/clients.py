@@ -22,6 +22,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
 from rclpy.validate_topic_name import validate_topic_name
 
+from roboxim_core.closing import Closing
 from roboxim_core.errors import InvalidRequestError, RequestTimeoutError, UnavailableError, raise_for_code
 from roboxim_ros.direct_calls import DirectClient
 from roboxim_ros.guard import GuardedNode
@@ -53,7 +54,7 @@ def _disappeared(service: str) -> UnavailableError:
     return UnavailableError(f"service '{service}' disappeared during the call; its node has died")
 
 
-class Clients:
+class Clients(Closing):
     """Service clients with their own node and thread; a context manager.
 
     Close it: a process that exits without destroying its node delays the first answer to the next process.
@@ -289,11 +290,3 @@ class Clients:
         self._executor.shutdown()
         self._thread.join(timeout=5.0)
         self.node.destroy_node()
-
-    def __enter__(self) -> Clients:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close."""
-        self.close()

@@ -18,6 +18,7 @@ from rclpy.executors import Executor, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from roboxim_core.closing import Closing
 from roboxim_ros.lockstep_executor import LockstepExecutor
 from roboxim_ros.runs import activate_transport
 from roboxim_ros.spinning import spin
@@ -30,7 +31,7 @@ SWITCH_INTERVAL_S = 0.001
 0.005."""
 
 
-class NodeHost:
+class NodeHost(Closing):
     """A context with nodes, each spun by its own thread. A context manager."""
 
     def __init__(self, *, domain_id: int | None = None, args: Sequence[str] = ()) -> None:
@@ -113,14 +114,6 @@ class NodeHost:
         self._running.clear()
         if self.context.ok():
             self.context.shutdown()
-
-    def __enter__(self) -> NodeHost:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close."""
-        self.close()
 
 
 def _executor(node: Node, context: Context) -> Executor:

@@ -7,13 +7,13 @@ world, not after moving the bodies of an old one.
 from __future__ import annotations
 
 from dataclasses import replace
-from types import TracebackType
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import numpy.typing as npt
 
 from roboxim_core import limits
 from roboxim_core.actions import ActionSemantics
+from roboxim_core.closing import Closing
 from roboxim_core.config import digest
 from roboxim_core.errors import ErrorCode, InvalidRequestError, SimError, one_of
 from roboxim_core.kinematics import ArmKinematics, Arms, Controller, ControllerState, DeltaController, JointController
@@ -29,7 +29,7 @@ from roboxim_sim.physics import Physics
 R = TypeVar("R")
 
 
-class EpisodeWorld:
+class EpisodeWorld(Closing):
     """A robot at a table in PyBullet that executes the actions of an episode; see `World` for everything else."""
 
     def __init__(self, library: ModelLibrary | None = None) -> None:
@@ -48,16 +48,6 @@ class EpisodeWorld:
         self._moving = self._stopped = False
         self._loads = 0
         self._scene_poses: ScenePoses | None = None
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()
 
     def close(self) -> None:
         """Disconnect from the physics server."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from roboxim_core.closing import Closing
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
 from roboxim_studio.acting.lab import Lab
@@ -37,7 +38,7 @@ EPISODE, SCENE, DRIVE, GRAPH = "Episode", "Scene", "Drive", "Graph"
 """What the view shows: an episode, a scene being edited, an episode that a person drives, or a running graph."""
 
 
-class Studio:
+class Studio(Closing):
     """A running studio. A context manager; `url` is the address to open."""
 
     def __init__(
@@ -110,14 +111,6 @@ class Studio:
     def url(self) -> str:
         """Address of the page, with its token."""
         return self.site.url
-
-    def __enter__(self) -> Studio:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close."""
-        self.close()
 
     def close(self) -> None:
         """End everything."""

@@ -8,10 +8,12 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
+from roboxim_core.closing import Closing
+
 T = TypeVar("T")
 
 
-class Bench:
+class Bench(Closing):
     """A thread with a queue of jobs. A context manager."""
 
     def __init__(self) -> None:
@@ -23,14 +25,6 @@ class Bench:
         self._thread.start()
         self.stopping = threading.Event()
         """Set when the bench closes; long jobs look at it."""
-
-    def __enter__(self) -> Bench:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close."""
-        self.close()
 
     def do(self, job: Callable[[], T], *, newest_of: str = "") -> Future[T]:
         """Queue a job.

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from importlib.util import find_spec
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core.closing import Closing
 from roboxim_core.errors import ErrorCode, InvalidRequestError, RecorderError
 from roboxim_datasets.video.codecs import video_codec
 from roboxim_datasets.video.messages import Header, read_message, write_message
@@ -99,7 +99,7 @@ class _Process:
         )
 
 
-class VideoWriters:
+class VideoWriters(Closing):
     """Encodes videos in worker processes; a context manager.
 
     Non-obvious: `VideoWriting.add` blocks while its worker is behind, so memory does not grow with the videos' length.
@@ -147,14 +147,6 @@ class VideoWriters:
         for lane in self._lanes:
             lane.close()
         self._lanes.clear()
-
-    def __enter__(self) -> VideoWriters:
-        """Return the object itself."""
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        """End the workers."""
-        self.close()
 
 
 class VideoWriting:

@@ -14,9 +14,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from typing import Any, Self
+from typing import Any
 
 from roboxim_bringup.process import spawn, stop
+from roboxim_core.closing import Closing
 from roboxim_core.episode import EpisodeResult, RunConfig
 from roboxim_core.errors import ConfigError, EvaluationError, PolicyError, UnavailableError, one_of
 from roboxim_core.policies import ActionChunk, Policy, PolicyDescription
@@ -88,7 +89,7 @@ class _Worker:
         )
 
 
-class Evaluator:
+class Evaluator(Closing):
     """Evaluates the policy of a training that is running; a context manager.
 
     Non-obvious:
@@ -209,14 +210,6 @@ class Evaluator:
             with contextlib.suppress(OSError):
                 worker.connection.close()
         self._workers = []
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End the workers."""
-        self.close()
 
 
 def _readable(answer: Any, description: PolicyDescription) -> ActionChunk | PolicyError:

@@ -18,10 +18,10 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.connection import Connection
-from types import TracebackType
 from typing import Any
 
 from roboxim_bringup.process import stop
+from roboxim_core.closing import Closing
 
 Spawned = tuple[subprocess.Popen[bytes], "Connection[Any, Any]"]
 """A worker's process, and the connection to it."""
@@ -30,7 +30,7 @@ MAX_WORKS = 8
 adds up."""
 
 
-class KeptProcesses:
+class KeptProcesses(Closing):
     """Idle worker processes. A context manager that ends them on exit; used by several threads."""
 
     def __init__(self) -> None:
@@ -86,13 +86,3 @@ class KeptProcesses:
             self._idle.clear()
         stop(self._all)
         self._starter.shutdown()
-
-    def __enter__(self) -> KeptProcesses:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()

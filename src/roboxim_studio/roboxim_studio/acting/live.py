@@ -22,6 +22,7 @@ from urllib.parse import urlencode
 import numpy as np
 import numpy.typing as npt
 
+from roboxim_core.closing import Closing
 from roboxim_core.config import digest
 from roboxim_core.errors import ConfigError, ErrorCode, RoboximError, SimError, UnavailableError
 from roboxim_core.poses import Pose
@@ -83,7 +84,7 @@ class Seen:
     """The planner's newest joint path of this robot [rad]; empty: it has planned none."""
 
 
-class LiveGraph:
+class LiveGraph(Closing):
     """A participant in a running graph. A context manager; ending it does not change the graph."""
 
     def __init__(self, run: Run, others: Sequence[Run] = ()) -> None:
@@ -114,14 +115,6 @@ class LiveGraph:
             self._peer.close()
             raise
         self._prefix = topic.removesuffix("sim/scene")
-
-    def __enter__(self) -> LiveGraph:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Leave."""
-        self.close()
 
     @property
     def alive(self) -> bool:
