@@ -304,6 +304,15 @@ class AuditEpisode:
             raise CannotCheckError(self.no_truth)
         return self.truth
 
+    def finding(self, text: str, **more: Any) -> Finding:
+        """Return a finding in this episode.
+
+        Args:
+            text: What was found.
+            **more: Other fields of `Finding`.
+        """
+        return Finding(text=text, episodes=(self.name,), **more)
+
 
 def _fields(names: Sequence[str], joint_names: tuple[str, ...]) -> dict[str, list[int]]:
     """Return the fields of proprioception whose components are all among the names, with their places."""

@@ -56,10 +56,9 @@ class FrozenCamera(AuditCheck):
                 runs = list(_still((track.change < EQUAL) & seen, EQUAL_FRAMES, moved))
             if runs:
                 begin, frames = runs[0]
-                yield Finding(
-                    text=f"{camera}: {frames} equal images from tick {begin} on"
+                yield episode.finding(
+                    f"{camera}: {frames} equal images from tick {begin} on"
                     + (f", and {len(runs) - 1} more such runs" if len(runs) > 1 else ""),
-                    episodes=(episode.name,),
                     ticks=(begin, begin + frames - 1),
                     cameras=(camera,),
                     series={f"{camera}: largest change of a cell": tuple(track.change)},
@@ -115,10 +114,8 @@ class BlankCamera(AuditCheck):
             if 2 * len(blank) < len(track.deviation):
                 blank = np.flatnonzero(track.deviation < CONSTANT)
             if len(blank):
-                yield Finding(
-                    text=f"{camera}: {len(blank)} of {len(track.deviation)} images are blank, the first at tick "
-                    f"{blank[0]}",
-                    episodes=(episode.name,),
+                yield episode.finding(
+                    f"{camera}: {len(blank)} of {len(track.deviation)} images are blank, the first at tick {blank[0]}",
                     ticks=(int(blank[0]),),
                     cameras=(camera,),
                 )

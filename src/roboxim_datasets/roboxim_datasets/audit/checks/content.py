@@ -58,7 +58,7 @@ class Content(AuditCheck):
     def look(self, episode: AuditEpisode) -> Iterator[Finding]:
         """Compare everything."""
         if episode.unexpected:
-            yield Finding(text=episode.unexpected, episodes=(episode.name,), ticks=(0,))
+            yield episode.finding(episode.unexpected, ticks=(0,))
             return
         if episode.expected is None:
             raise CannotCheckError(episode.no_expected)
@@ -164,7 +164,7 @@ def _images(episode: AuditEpisode) -> Iterator[Finding]:
     found, expected = episode.episode, episode.expected
     assert expected is not None
     for camera in sorted(found.cameras.keys() ^ expected.cameras.keys()):
-        yield Finding(text=f"only one of both has camera '{camera}'", episodes=(episode.name,))
+        yield episode.finding(f"only one of both has camera '{camera}'")
     shared = sorted(found.cameras.keys() & expected.cameras.keys())
     bad: dict[str, list[int]] = {camera: [] for camera in shared}
     seen: dict[str, list[Values]] = {camera: [] for camera in shared}
@@ -178,11 +178,12 @@ def _images(episode: AuditEpisode) -> Iterator[Finding]:
                 bad[camera].append(actual.index)
     for camera, ticks in bad.items():
         if ticks:
-            yield Finding(
-                text=f"the images of {camera} differ in {len(ticks)} of {len(found)} ticks, first at tick {ticks[0]}"
+            yield episode.finding(
+                f"the images of {camera} differ in {len(ticks)} of {len(found)} ticks, first at tick {ticks[0]}"
                 f"{_which(camera, ticks, seen, wanted)}",
-                episodes=(episode.name,), ticks=tuple(ticks[:3]), cameras=(camera,),
-            )  # fmt: skip
+                ticks=tuple(ticks[:3]),
+                cameras=(camera,),
+            )
 
 
 def _colours(image: np.ndarray) -> Values:

@@ -63,9 +63,8 @@ class InaccurateControl(AuditCheck):
         if distance[0] > SHORT_M and approach.path_m > DETOUR * distance[0]:
             problems.append(f"its path is {approach.path_m / distance[0]:.1f} times the shortest")
         if problems:
-            yield Finding(
-                text="; ".join(problems),
-                episodes=(episode.name,),
+            yield episode.finding(
+                "; ".join(problems),
                 ticks=tuple(sorted(set(ticks))),
                 series={"distance to the final touch [cm]": tuple(100 * distance)},
             )
@@ -89,10 +88,9 @@ class Idle(AuditCheck):
         start, length = longest_run(idle)
         rate = episode.rate_or(10.0)
         if idle.mean() > IDLE_SHARE or length / rate > IDLE_S:
-            yield Finding(
-                text=f"{idle.sum()} of {len(idle)} ticks ({100 * idle.mean():.0f} %) are without motion; the longest "
+            yield episode.finding(
+                f"{idle.sum()} of {len(idle)} ticks ({100 * idle.mean():.0f} %) are without motion; the longest "
                 f"rest is {length} ticks ({length / rate:.1f} s) from tick {start}",
-                episodes=(episode.name,),
                 ticks=(start, start + length - 1) if length > 1 else (start,),
                 series={"without motion": tuple(idle.astype(float))},
             )
@@ -136,9 +134,8 @@ class Saturation(AuditCheck):
             semantics = None
         at_limit = _at_limit(actions, semantics) if semantics else _at_extreme(actions)
         if at_limit.mean() > SATURATED_SHARE:
-            yield Finding(
-                text=f"{at_limit.sum()} of {len(at_limit)} actions ({100 * at_limit.mean():.0f} %) are saturated",
-                episodes=(episode.name,),
+            yield episode.finding(
+                f"{at_limit.sum()} of {len(at_limit)} actions ({100 * at_limit.mean():.0f} %) are saturated",
                 ticks=tuple(np.flatnonzero(at_limit)[:3].tolist()),
                 series={"saturated": tuple(at_limit.astype(float))},
             )
@@ -185,9 +182,8 @@ class Replay(AuditCheck):
             )
         beyond = np.flatnonzero(np.array(error) > REPLAY_M)
         if len(beyond):
-            yield Finding(
-                text=f"from tick {beyond[0]} the replay is off by up to {1000 * max(error):.1f} mm",
-                episodes=(episode.name,),
+            yield episode.finding(
+                f"from tick {beyond[0]} the replay is off by up to {1000 * max(error):.1f} mm",
                 ticks=(int(beyond[0]),),
                 series={"error of the tool centre point [mm]": tuple(1000 * value for value in error)},
             )

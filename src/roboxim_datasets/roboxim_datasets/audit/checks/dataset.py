@@ -41,9 +41,8 @@ class Duplicate(AuditCheck):
             return
         name, before = self._seen[key]
         same = before.shape == start.shape and bool(np.abs(before - start).max(initial=0.0) < 1.0)
-        yield Finding(
-            text=f"its {len(episode.episode)} actions are those of '{name}'" + ("" if same else ", with other images"),
-            episodes=(episode.name,),
+        yield episode.finding(
+            f"its {len(episode.episode)} actions are those of '{name}'" + ("" if same else ", with other images"),
             ticks=(0,),
             severity=Severity.FAULT if same else Severity.WARNING,
         )
@@ -78,11 +77,7 @@ class SplitLeak(AuditCheck):
             self._seen.setdefault(key, (episode.name, episode.split))
         if shared:
             what, name, split = shared[0]
-            yield Finding(
-                text=f"it is in '{episode.split}' and has the {what} of '{name}' in '{split}'",
-                episodes=(episode.name,),
-                ticks=(0,),
-            )
+            yield episode.finding(f"it is in '{episode.split}' and has the {what} of '{name}' in '{split}'", ticks=(0,))
         if not episode.split:
             raise CannotCheckError("bags have no splits; an export has")
 
@@ -115,10 +110,8 @@ class Statistics(AuditCheck):
         for name, values in episode.numbers.items():
             bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
             if len(bad):
-                yield Finding(
-                    text=f"{name} is not finite at {len(bad)} ticks, the first {bad[0]}",
-                    episodes=(episode.name,),
-                    ticks=(int(bad[0]),),
+                yield episode.finding(
+                    f"{name} is not finite at {len(bad)} ticks, the first {bad[0]}", ticks=(int(bad[0]),)
                 )
             elif name == "action" or name in episode.proprio:
                 self._episodes.setdefault(f"{name} ({values.shape[1]})", []).append((episode.name, values))

@@ -40,10 +40,9 @@ class Gripper(AuditCheck):
         curves = {"commanded opening": tuple(command)}
         if len(outside):
             worst = int(outside[np.abs(command[outside] - 0.5).argmax()])
-            yield Finding(
-                text=f"{len(outside)} of {len(command)} commands are outside of {semantics.gripper}, e.g. "
+            yield episode.finding(
+                f"{len(outside)} of {len(command)} commands are outside of {semantics.gripper}, e.g. "
                 f"{episode.actions[worst, -1]:g} at tick {worst}",
-                episodes=(episode.name,),
                 ticks=(worst,),
                 series=curves,
             )
@@ -55,9 +54,8 @@ class Gripper(AuditCheck):
         text = _inverted(command, measured, lags=round(LAG_S * episode.rate_hz) + 1)
         if text:
             turn = int(np.abs(np.diff(command)).argmax()) if len(command) > 1 else 0
-            yield Finding(
-                text=text,
-                episodes=(episode.name,),
+            yield episode.finding(
+                text,
                 ticks=(turn, min(turn + 5, len(command) - 1)),
                 series={**curves, "measured opening": tuple(measured)},
             )

@@ -27,9 +27,8 @@ class Collision(AuditCheck):
         hits = [touch for touch in episode.require_truth().touches if touch.force_n > FORCE_N]
         if hits:
             worst = max(hits, key=lambda touch: touch.force_n)
-            yield Finding(
-                text=f"{worst.bodies} touch with {worst.force_n:.0f} N at tick {worst.tick}; in "
+            yield episode.finding(
+                f"{worst.bodies} touch with {worst.force_n:.0f} N at tick {worst.tick}; in "
                 f"{len({touch.tick for touch in hits})} ticks in all",
-                episodes=(episode.name,),
                 ticks=(worst.tick,),
             )

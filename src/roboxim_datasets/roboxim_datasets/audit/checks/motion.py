@@ -240,20 +240,19 @@ class Labels(AuditCheck):
         gripper = np.abs(episode.actions[:, -1] - episode.executed[:, -1]) > 1e-4
         if gripper.any():
             start, end = runs_of(gripper)[0]
-            yield Finding(
-                text=f"the gripper's labels are not what was executed in {int(gripper.sum())} of {len(gripper)} ticks, "
+            yield episode.finding(
+                f"the gripper's labels are not what was executed in {int(gripper.sum())} of {len(gripper)} ticks, "
                 f"from tick {start} on",
-                episodes=(episode.name,), ticks=(start, end),
+                ticks=(start, end),
                 series={"label": tuple(episode.actions[:, -1]), "executed": tuple(episode.executed[:, -1])},
-            )  # fmt: skip
+            )
         everywhere = np.all([_differs(chain) for chain in chains], axis=0) & (len(chains) > 1)
         for chain in chains:
             problem, bad = _label_problem(chain, _near(_limited(episode)), everywhere, planned=episode.planned)
             if problem:
                 first, last = int(np.flatnonzero(bad)[0]), int(np.flatnonzero(bad)[-1])
-                yield Finding(
-                    text=f"{chain.name}: {problem}{_edit(chain, bad)}",
-                    episodes=(episode.name,),
+                yield episode.finding(
+                    f"{chain.name}: {problem}{_edit(chain, bad)}",
                     ticks=tuple(dict.fromkeys((first, last))),
                     series={
                         f"label and executed action differ [{chain.unit}]": tuple(
@@ -364,21 +363,21 @@ class Joints(AuditCheck):
         beyond = np.maximum(arm.lower - joints, joints - arm.upper).max(axis=1)
         worst = int(beyond.argmax())
         if beyond[worst] > 0.01:
-            yield Finding(
-                text=f"a joint is up to {beyond[worst]:.3f} rad beyond its limit, in {int((beyond > 0.01).sum())} of "
+            yield episode.finding(
+                f"a joint is up to {beyond[worst]:.3f} rad beyond its limit, in {int((beyond > 0.01).sum())} of "
                 f"{len(beyond)} ticks",
-                episodes=(episode.name,), ticks=(worst,),
-            )  # fmt: skip
+                ticks=(worst,),
+            )
         if "tcp_position" not in episode.proprio:
             return
         place = episode.proprio["tcp_position"].astype(float)
         off = np.linalg.norm(np.array([arm.fk(row).position for row in joints]) - place, axis=1)
         bad = np.flatnonzero(off > 1e-3)
         if len(bad):
-            yield Finding(
-                text=f"the joints place the tool up to {1000 * off.max():.1f} mm from its recorded position, in "
+            yield episode.finding(
+                f"the joints place the tool up to {1000 * off.max():.1f} mm from its recorded position, in "
                 f"{len(bad)} "
                 f"of {len(off)} ticks, from tick {bad[0]} on",
-                episodes=(episode.name,), ticks=tuple(dict.fromkeys((int(bad[0]), int(bad[-1])))),
+                ticks=tuple(dict.fromkeys((int(bad[0]), int(bad[-1])))),
                 series={"joints and position differ [mm]": tuple(1000 * off)},
-            )  # fmt: skip
+            )

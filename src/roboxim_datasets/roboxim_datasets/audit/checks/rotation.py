@@ -73,18 +73,16 @@ class RotationJump(AuditCheck):
                 if any(abs(column[k] - column[k - 1]) > 0.5 for k in jumps)
             }
             if jumps:
-                yield Finding(
-                    text=f"{rotations.label}: {len(jumps)} jump{'s' * (len(jumps) != 1)}, the first at tick {jumps[0]} "
+                yield episode.finding(
+                    f"{rotations.label}: {len(jumps)} jump{'s' * (len(jumps) != 1)}, the first at tick {jumps[0]} "
                     f"from {_shown(rotations.values[jumps[0] - 1])} to {_shown(rotations.values[jumps[0]])}",
-                    episodes=(episode.name,),
                     ticks=(jumps[0] - 1, jumps[0]),
                     series=dict(list(shown.items())[:4]),
                 )
             elif other := self._other_side(episode, rotations):
-                yield Finding(
-                    text=f"{rotations.label} starts at {_shown(rotations.values[0])}, '{other}' with the same rotation "
+                yield episode.finding(
+                    f"{rotations.label} starts at {_shown(rotations.values[0])}, '{other}' with the same rotation "
                     "on the other side of the seam",
-                    episodes=(episode.name,),
                     ticks=(0,),
                 )
 

@@ -39,9 +39,8 @@ class ContinuesAfterDone(AuditCheck):
         curve = {"task solved": tuple(float(value) for value in solved)}
         if not solved[-1]:
             lost = int(np.flatnonzero(solved)[-1])
-            yield Finding(
-                text=f"the task is solved at tick {lost} and no longer at the end, tick {len(solved) - 1}",
-                episodes=(episode.name,),
+            yield episode.finding(
+                f"the task is solved at tick {lost} and no longer at the end, tick {len(solved) - 1}",
                 ticks=(lost, last),
                 series=curve,
             )
@@ -50,10 +49,9 @@ class ContinuesAfterDone(AuditCheck):
         done = int(unsolved[-1]) + 1 if len(unsolved) else 0
         after = last - done
         if after / episode.rate_hz > AFTER_S or after > max(1.0, AFTER_SHARE * last):
-            yield Finding(
-                text=f"{after} of {last} ticks ({after / episode.rate_hz:.1f} s) follow tick {done}, from which the "
+            yield episode.finding(
+                f"{after} of {last} ticks ({after / episode.rate_hz:.1f} s) follow tick {done}, from which the "
                 "task stays solved",
-                episodes=(episode.name,),
                 ticks=(done, (done + last) // 2, last),
                 series=curve,
             )
@@ -90,7 +88,7 @@ class WrongInstruction(AuditCheck):
                 text = f"it is '{instruction}', {what} is '{episode.prompt(recorded)}'"
         if text:
             last = len(episode.episode) - 1
-            yield Finding(text=text, episodes=(episode.name,), ticks=(0, last // 2, last))
+            yield episode.finding(text, ticks=(0, last // 2, last))
 
 
 def _recorded_instruction(episode: AuditEpisode) -> str:

@@ -41,10 +41,9 @@ class Clock(AuditCheck):
         wrong = np.flatnonzero(np.abs(spacing - period) > CLOCK_S + rounding)
         if len(wrong):
             worst = int(wrong[np.abs(spacing[wrong] - period).argmax()])
-            yield Finding(
-                text=f"{len(wrong)} of {len(spacing)} distances differ from {1000 * period:.1f} ms, most at tick "
+            yield episode.finding(
+                f"{len(wrong)} of {len(spacing)} distances differ from {1000 * period:.1f} ms, most at tick "
                 f"{worst + 1}: {1000 * spacing[worst]:.1f} ms",
-                episodes=(episode.name,),
                 ticks=(worst, worst + 1),
                 series={"time between ticks [ms]": tuple(1000 * spacing)},
             )
@@ -80,10 +79,9 @@ class StateLag(AuditCheck):
         if curve.max() < WEAK:
             raise CannotCheckError("the images' changes do not follow the state's")
         if best and curve.max() >= PEAK and curve.max() - curve[LAG] >= GAIN:
-            yield Finding(
-                text=f"the state is {abs(best)} {'tick' if abs(best) == 1 else 'ticks'} "
+            yield episode.finding(
+                f"the state is {abs(best)} {'tick' if abs(best) == 1 else 'ticks'} "
                 f"{'late' if best > 0 else 'early'}: correlation {curve.max():.2f}, without lag {curve[LAG]:.2f}",
-                episodes=(episode.name,),
                 ticks=(len(speed) // 2, min(len(speed) // 2 + abs(best), len(episode.episode) - 1)),
                 series={f"correlation at lags {-LAG} to {LAG}": tuple(curve)},
             )

@@ -39,10 +39,9 @@ class HiddenObject(AuditCheck):
         hidden = [sighting for sighting in sightings if sighting.share < SHARE or sighting.pixels < PIXELS]
         for sighting in hidden:
             if sighting.tick == 0 and sighting.fixed:
-                yield Finding(
-                    text=f"{sighting.camera} sees {100 * sighting.share:.0f} % of the {sighting.thing} at the start "
+                yield episode.finding(
+                    f"{sighting.camera} sees {100 * sighting.share:.0f} % of the {sighting.thing} at the start "
                     f"({sighting.pixels:.0f} pixels)",
-                    episodes=(episode.name,),
                     ticks=(0,),
                     cameras=(sighting.camera,),
                 )
@@ -51,9 +50,8 @@ class HiddenObject(AuditCheck):
             ticks = sorted({sighting.tick for sighting in sightings if sighting.thing == thing})
             lost = [tick for tick in ticks if (thing, tick) not in seen]
             if len(lost) > HIDDEN_SHARE * len(ticks):
-                yield Finding(
-                    text=f"no camera sees the {thing} in {len(lost)} of {len(ticks)} ticks before the first touch",
-                    episodes=(episode.name,),
+                yield episode.finding(
+                    f"no camera sees the {thing} in {len(lost)} of {len(ticks)} ticks before the first touch",
                     ticks=(lost[0], lost[-1]) if len(lost) > 1 else (lost[0],),
                 )
 
@@ -78,9 +76,8 @@ class Indistinguishable(AuditCheck):
             raise CannotCheckError(NO_RENDERER)
         for pair in pairs:
             if pair.difference < SIMILAR_COLOR:
-                yield Finding(
-                    text=f"{pair.camera}: the {pair.named} and the {pair.other} differ by {pair.difference:.1f}",
-                    episodes=(episode.name,),
+                yield episode.finding(
+                    f"{pair.camera}: the {pair.named} and the {pair.other} differ by {pair.difference:.1f}",
                     ticks=(0,),
                     cameras=(pair.camera,),
                     severity=Severity.FAULT if pair.difference < SAME_COLOR else Severity.WARNING,
