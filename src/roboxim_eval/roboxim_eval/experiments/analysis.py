@@ -119,8 +119,7 @@ def analyse(design: Design, outcomes: Outcomes) -> Analysis:
 
 
 def _arm(design: Design, condition: str, outcomes: Outcomes) -> Arm:
-    wanted = next(e for e in design.evaluations if e.condition == condition and not e.checkpoint)
-    return outcomes.arm(condition).within(list(wanted.counts))
+    return outcomes.arm(condition).within(list(design.counts(condition)))
 
 
 def _keys(design: Design, where: str) -> list[str]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -20,7 +21,7 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.limits import echo
 from roboxim_eval.experiments.config import ExperimentConfig
 from roboxim_eval.statistics.beside import Beside
-from roboxim_eval.statistics.tables import Intervals
+from roboxim_eval.statistics.tables import Count, Intervals
 
 SCHEMA = 4
 """Version of the form of new cards."""
@@ -166,6 +167,11 @@ class CardEvaluation:
     beside: Beside | None = None
     """Force, speed, path and other measures beside success, and crossed limits; null: no task has ``limits``."""
 
+    @property
+    def counts(self) -> dict[str, Count]:
+        """The outcomes by cell."""
+        return {cell: Count(successes=s, episodes=n, errors=e) for cell, (s, n, e) in self.by_cell.items()}
+
 
 @dataclass(frozen=True, kw_only=True)
 class CardFresh:
@@ -286,6 +292,15 @@ class Card:
         """The card as plain data."""
         data: dict[str, Any] = json.loads(json.dumps(to_plain(self)))
         return data
+
+
+def final_counts(evaluations: Iterable[CardEvaluation]) -> dict[str, list[Mapping[str, Count]]]:
+    """Return the outcomes of the final evaluations by condition, in the order of their replicates."""
+    found: dict[str, list[Mapping[str, Count]]] = {}
+    for row in sorted(evaluations, key=lambda row: row.replicate):
+        if not row.checkpoint:
+            found.setdefault(row.condition, []).append(row.counts)
+    return found
 
 
 def sha256_of(value: Any) -> str:

@@ -10,13 +10,12 @@ from typing import Any
 from roboxim_core.config import to_plain
 from roboxim_core.errors import ConfigError, RoboximError
 from roboxim_eval.experiments.analysis import Analysis, Comparison, Outcomes, analyse
-from roboxim_eval.experiments.card import ARGUMENTS, Card, CardTraining, CardVerdict, parse_card, sealed
+from roboxim_eval.experiments.card import ARGUMENTS, Card, CardTraining, CardVerdict, final_counts, parse_card, sealed
 from roboxim_eval.experiments.combinations import TransferCurve, name_of, transfer_curve
 from roboxim_eval.experiments.design import Design, design_of
 from roboxim_eval.experiments.fresh import public_warnings, require_committed
 from roboxim_eval.statistics.paired import Pairs
 from roboxim_eval.statistics.replicates import ConditionDifference, Interval
-from roboxim_eval.statistics.tables import Count
 
 DERIVED = ("scores", "verdicts", "warnings", "sha256")
 """Parts of a card that follow from the others."""
@@ -29,16 +28,12 @@ def outcomes_of_card(card: Card) -> Outcomes:
         ConfigError: When a replicate is missing or appears twice.
         InvalidRequestError: When counts are impossible.
     """
-    counts: dict[str, list[Mapping[str, Count]]] = {}
-    for row in sorted(card.evaluations, key=lambda row: row.replicate):
-        if not row.checkpoint:
-            if row.replicate != len(counts.get(row.condition, [])):
-                numbers = [r.replicate for r in card.evaluations if r.condition == row.condition and not r.checkpoint]
-                raise ConfigError(
-                    f"evaluations of condition '{row.condition}' must be of the replicates 0, 1, ...; got {numbers}"
-                )
-            counts.setdefault(row.condition, []).append(
-                {cell: Count(successes=s, episodes=n, errors=e) for cell, (s, n, e) in row.by_cell.items()}
+    counts = final_counts(card.evaluations)
+    for condition in counts:
+        numbers = [row.replicate for row in card.evaluations if row.condition == condition and not row.checkpoint]
+        if sorted(numbers) != list(range(len(numbers))):
+            raise ConfigError(
+                f"evaluations of condition '{condition}' must be of the replicates 0, 1, ...; got {numbers}"
             )
     pairs = {
         int(number): [Pairs(both=a, first=b, second=c, neither=d) for a, b, c, d in rows]

@@ -6,7 +6,6 @@ import itertools
 from dataclasses import dataclass, replace
 
 from roboxim_core.errors import ConfigError
-from roboxim_eval.experiments.cells import chosen
 from roboxim_eval.experiments.config import ExperimentConfig
 from roboxim_eval.experiments.design import Design, design_of
 from roboxim_eval.statistics.power import Design as Size
@@ -311,9 +310,7 @@ def _scenes_against(design: Design) -> int:
     primary = design.config.primary
     if primary is None or primary.against in ("", primary.where):
         return 0
-    keys = {cell.key for cell in chosen(design.cells, primary.against)}
-    evaluation = next(e for e in design.evaluations if e.condition == primary.second and not e.checkpoint)
-    return sum(count for key, count in evaluation.counts.items() if key in keys)
+    return design.scenes(primary.second, primary.against)
 
 
 REPLICATES = (1, 3, 4, 5, 6, 8, 10, 12, 16, 20)

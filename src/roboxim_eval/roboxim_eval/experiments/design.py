@@ -100,9 +100,16 @@ class Design:
         primary = self.config.primary
         if primary is None:
             return 0
-        keys = {cell.key for cell in chosen(self.cells, primary.where)}
-        evaluation = next(e for e in self.evaluations if e.condition == primary.first and not e.checkpoint)
-        return sum(count for key, count in evaluation.counts.items() if key in keys)
+        return self.scenes(primary.first, primary.where)
+
+    def counts(self, condition: str) -> dict[str, int]:
+        """Return the numbers of rollouts by cell of a condition's final evaluations, which have equal ones."""
+        return next(e.counts for e in self.evaluations if e.condition == condition and not e.checkpoint)
+
+    def scenes(self, condition: str, where: str) -> int:
+        """Return the rollouts of each of a condition's trainings in all, seen or unseen cells."""
+        counts = self.counts(condition)
+        return sum(counts.get(cell.key, 0) for cell in chosen(self.cells, where))
 
 
 def design_of(config: ExperimentConfig, trainer: str = "") -> Design:
@@ -245,11 +252,10 @@ def _spread(episodes: int, cells: list[str]) -> dict[str, int]:
 
 
 def _check_comparisons(design: Design) -> None:
-    final = {e.condition: e.counts for e in design.evaluations if not e.checkpoint}
     for number, compare in enumerate(design.config.compare):
         for condition, where in ((compare.first, compare.where), (compare.second, compare.against or compare.where)):
             needed = chosen(design.cells, where)
-            missing = [cell.key for cell in needed if cell.key not in final[condition]]
+            missing = [cell.key for cell in needed if cell.key not in design.counts(condition)]
             if not needed or missing:
                 raise ConfigError(
                     f"compare.{number}: '{condition}' is not evaluated in "
@@ -265,8 +271,7 @@ def _check_scores(design: Design) -> None:
     primary, blind = design.config.primary, design.config.blind
     if primary is None or primary.where != "unseen" or primary.against or not blind:
         return
-    met = next(e.counts for e in design.evaluations if e.condition == blind and not e.checkpoint)
-    missing = [cell.key for cell in chosen(design.cells, "unseen") if cell.key not in met]
+    missing = [cell.key for cell in chosen(design.cells, "unseen") if cell.key not in design.counts(blind)]
     if missing:
         raise ConfigError(
             f"evaluate.cells.{blind}: '{blind}' evaluates '{primary.first}' without words, and the scores compare both "

@@ -16,13 +16,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from roboxim_core.errors import ConfigError
-from roboxim_eval.experiments.card import Card, CardEvaluation, CardFresh
+from roboxim_eval.experiments.card import Card, CardEvaluation, CardFresh, final_counts
 from roboxim_eval.experiments.config import MAX_SEED, MIN_SEED
 from roboxim_eval.statistics.multiple import holm
 from roboxim_eval.statistics.paired import Difference, independent_difference
 from roboxim_eval.statistics.rates import SuccessRate
 from roboxim_eval.statistics.replicates import pooled_rate
-from roboxim_eval.statistics.tables import Arm, Count
+from roboxim_eval.statistics.tables import Arm
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,13 +138,7 @@ def public_advantages(card: Card) -> tuple[PublicAdvantage, ...]:
 
 
 def _arms(rows: tuple[CardEvaluation, ...]) -> Mapping[str, Arm]:
-    counts: dict[str, list[Mapping[str, Count]]] = {}
-    for row in sorted(rows, key=lambda row: row.replicate):
-        if not row.checkpoint:
-            counts.setdefault(row.condition, []).append(
-                {cell: Count(successes=s, episodes=n, errors=e) for cell, (s, n, e) in row.by_cell.items()}
-            )
-    return {name: Arm(replicates=tuple(found)) for name, found in counts.items()}
+    return {name: Arm(replicates=tuple(found)) for name, found in final_counts(rows).items()}
 
 
 def public_warnings(card: Card) -> Iterator[str]:

@@ -367,7 +367,7 @@ def _curve(card: Card, link: Link) -> Any:
     points: dict[str, dict[int, list[float]]] = {}
     for row in card.evaluations:
         if row.checkpoint:
-            count = total(Count(successes=s, episodes=n, errors=e) for s, n, e in row.by_cell.values())
+            count = total(row.counts.values())
             if count.episodes:
                 rates = points.setdefault(row.condition, {}).setdefault(row.checkpoint, [])
                 rates.append(count.successes / count.episodes)
