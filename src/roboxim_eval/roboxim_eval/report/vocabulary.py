@@ -8,7 +8,7 @@ factor's levels, a condition or a split of the cells changes.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -44,6 +44,14 @@ NOISY = "_noisy"
 """Ending of the names of views with noisy images, which the key alone does not show."""
 IMAGES = Names(star_gen="visual: image augmentations", libero_plus="sensor noise")
 LIGHT_COLOUR = Names(colosseum="light colour", star_gen="visual: scene", libero_plus="light conditions")
+SURROUNDINGS = Names(colosseum="background texture", star_gen="visual: scene", libero_plus="background textures")
+TABLE = Names(colosseum="table colour, table texture", star_gen="visual: scene", libero_plus="background textures")
+START = Names(colosseum="RLBench variations", star_gen="behavioural: robot pose", libero_plus="robot initial states")
+DISTRACTORS = Names(colosseum="distractor", star_gen="visual: scene", libero_plus="objects layout")
+PLACES = Names(colosseum="RLBench variations", star_gen="behavioural: object poses", libero_plus="objects layout")
+PHYSICS = Names(colosseum="object mass, object friction", star_gen="behavioural: hidden object properties")
+SUPPORT = Names(colosseum="receiver object: colour, texture, size", star_gen="visual: object appearance")
+WORDS = Names(star_gen="semantic: language rephrase", libero_plus="language instructions")
 BY_KEY: tuple[tuple[str, Names], ...] = (
     ("reset.cameras.exposure", IMAGES),
     (NOISY, IMAGES),
@@ -51,50 +59,25 @@ BY_KEY: tuple[tuple[str, Names], ...] = (
     ("reset.lights.color", LIGHT_COLOUR),
     ("reset.lights.ambient", LIGHT_COLOUR),
     ("reset.lights", Names(star_gen="visual: scene", libero_plus="light conditions")),
-    (
-        "reset.surfaces.table",
-        Names(colosseum="table colour, table texture", star_gen="visual: scene", libero_plus="background textures"),
-    ),
-    (
-        "reset.surfaces",
-        Names(colosseum="background texture", star_gen="visual: scene", libero_plus="background textures"),
-    ),
-    (
-        "reset.background",
-        Names(colosseum="background texture", star_gen="visual: scene", libero_plus="background textures"),
-    ),
-    (
-        "reset.robot",
-        Names(colosseum="RLBench variations", star_gen="behavioural: robot pose", libero_plus="robot initial states"),
-    ),
-    ("reset.distractors", Names(colosseum="distractor", star_gen="visual: scene", libero_plus="objects layout")),
-    ("distractors", Names(colosseum="distractor", star_gen="visual: scene", libero_plus="objects layout")),
-    (
-        "reset.objects",
-        Names(colosseum="RLBench variations", star_gen="behavioural: object poses", libero_plus="objects layout"),
-    ),
-    (
-        "interaction_area",
-        Names(colosseum="RLBench variations", star_gen="behavioural: object poses", libero_plus="objects layout"),
-    ),
-    ("modifiers.mass", Names(colosseum="object mass", star_gen="behavioural: hidden object properties")),
-    ("modifiers.friction", Names(colosseum="object friction", star_gen="behavioural: hidden object properties")),
-    (
-        "reset.physics",
-        Names(colosseum="object mass, object friction", star_gen="behavioural: hidden object properties"),
-    ),
-    (
-        "objects.support",
-        Names(colosseum="receiver object: colour, texture, size", star_gen="visual: object appearance"),
-    ),
+    ("reset.surfaces.table", TABLE),
+    ("reset.surfaces", SURROUNDINGS),
+    ("reset.background", SURROUNDINGS),
+    ("reset.robot", START),
+    ("reset.distractors", DISTRACTORS),
+    ("distractors", DISTRACTORS),
+    ("reset.objects", PLACES),
+    ("interaction_area", PLACES),
+    ("modifiers.mass", replace(PHYSICS, colosseum="object mass")),
+    ("modifiers.friction", replace(PHYSICS, colosseum="object friction")),
+    ("reset.physics", PHYSICS),
+    ("objects.support", SUPPORT),
     ("modifiers.scale", Names(colosseum="manipulated object: size", star_gen="behavioural: other morphology")),
     ("modifiers", Names(colosseum="manipulated object: colour, texture", star_gen="visual: object appearance")),
-    ("paraphrases", Names(star_gen="semantic: language rephrase", libero_plus="language instructions")),
-    ("templates", Names(star_gen="semantic: language rephrase", libero_plus="language instructions")),
+    ("paraphrases", WORDS),
+    ("templates", WORDS),
     ("arguments", Names(colosseum="RLBench variations", star_gen="semantic: object properties")),
 )
 """Part of a key's path to its names; the first one that is in the path counts."""
-WORDS = Names(star_gen="semantic: language rephrase", libero_plus="language instructions")
 NO_NAMES = Names()
 """Variations that no other suite has: no instruction, answers that arrive late, the number of a task's steps."""
 NEW_COMBINATION = Names(star_gen="combined: seen levels, not seen together")
