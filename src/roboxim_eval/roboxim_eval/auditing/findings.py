@@ -15,6 +15,7 @@ TOO_EASY = 0.05
 """Lower bound of a success rate without skill above which it is a fault."""
 Statements = Iterator[str]
 """Sentences of a check; none: it passed. A sentence that begins with ``?`` says why the check was impossible."""
+Check = Callable[[Probes], Statements]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,24 +82,9 @@ def _same(one: Trace, two: Trace, what: str) -> Statements:
         yield f"{what} differs: {where}"
 
 
-def _same_seed(p: Probes) -> Statements:
-    yield from _same(p.first, p.again, "the same seed and actions a second time")
-
-
-def _instances(p: Probes) -> Statements:
-    yield from _same(p.first, p.other_instance, "the same seed and actions in a second environment of the process")
-
-
-def _order(p: Probes) -> Statements:
-    yield from _same(p.first, p.after_others, "the same seed and actions after resets to other seeds")
-
-
-def _leak(p: Probes) -> Statements:
-    yield from _same(p.first, p.after_episode, "the same seed and actions after an episode of another seed")
-
-
-def _global_random(p: Probes) -> Statements:
-    yield from _same(p.first, p.other_global_seed, "the same seed and actions with other global random numbers")
+def _repeated(other: str, when: str) -> Check:
+    """Return the check that the first probe's seed and actions give the same again in another probe, by its name."""
+    return lambda p: _same(p.first, getattr(p, other), f"the same seed and actions {when}")
 
 
 def _global_state(p: Probes) -> Statements:
@@ -167,14 +153,6 @@ def _nan(p: Probes) -> Statements:
 def _says_success(p: Probes) -> Statements:
     if not _verdicts(_whole(p)):
         yield "no step states whether the task succeeded (is_success or success in info)"
-
-
-def _no_motion(p: Probes) -> Statements:
-    yield from _without_skill(p.noop, "without motion")
-
-
-def _random(p: Probes) -> Statements:
-    yield from _without_skill(p.random, "with random actions")
 
 
 def _without_skill(traces: Sequence[Trace], how: str) -> Statements:
@@ -303,12 +281,12 @@ def _scene_matters(p: Probes) -> Statements:
         yield f"the actions of one episode solve other seeds without looking: {_rate(p.replayed_elsewhere)}"
 
 
-CHECKS: dict[str, Callable[[Probes], Statements]] = {
-    "same_seed": _same_seed,
-    "instances": _instances,
-    "order": _order,
-    "reset_leak": _leak,
-    "global_random": _global_random,
+CHECKS: dict[str, Check] = {
+    "same_seed": _repeated("again", "a second time"),
+    "instances": _repeated("other_instance", "in a second environment of the process"),
+    "order": _repeated("after_others", "after resets to other seeds"),
+    "reset_leak": _repeated("after_episode", "after an episode of another seed"),
+    "global_random": _repeated("other_global_seed", "with other global random numbers"),
     "global_state": _global_state,
     "seeds_matter": _seeds_matter,
     "unseeded": _unseeded,
@@ -318,8 +296,8 @@ CHECKS: dict[str, Callable[[Probes], Statements]] = {
     "clipped_actions": _clips,
     "nan_actions": _nan,
     "says_success": _says_success,
-    "no_motion": _no_motion,
-    "random_actions": _random,
+    "no_motion": lambda p: _without_skill(p.noop, "without motion"),
+    "random_actions": lambda p: _without_skill(p.random, "with random actions"),
     "starts_unsolved": _starts_unsolved,
     "reward": _reward,
     "finite_rewards": _finite,
