@@ -82,9 +82,7 @@ class EvaluatorNode(RoboximNode):
 
     def destroy_node(self) -> None:
         """Destroy the node and its clients."""
-        if self._ports is not None:
-            self._ports.close()
-            self._ports = None
+        self._drop_ports()
         self._action.destroy()
         super().destroy_node()
 
