@@ -205,18 +205,3 @@ class Reporter:
         except (KeyboardInterrupt, CancelledError):
             self.on_event(Interrupted(text=state if isinstance(state, str) else state()))
             raise
-
-
-@contextmanager
-def reporting_interruption(on_event: OnEvent, state: Callable[[], str]) -> Iterator[None]:
-    """Report `Interrupted` when Ctrl-C or a cancellation ends the block; the exception still propagates.
-
-    Args:
-        on_event: Receives the event.
-        state: Returns the description of the finished work.
-    """
-    try:
-        yield
-    except (KeyboardInterrupt, CancelledError):
-        on_event(Interrupted(text=state()))
-        raise

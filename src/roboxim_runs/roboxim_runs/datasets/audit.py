@@ -33,15 +33,8 @@ from roboxim_recorder.run_bags import holds_bags, list_bags, run_bags
 from roboxim_runs.datasets.action_decoding import dataset_convention
 from roboxim_runs.datasets.audit_expected import NO_BAG, Expected, expected_of_bags, expected_of_dataset, relabels
 from roboxim_runs.datasets.audit_truth import BagTruth, TruthPorts
-from roboxim_runs.events import (
-    OnEvent,
-    StageFinished,
-    StageProgress,
-    StageStarted,
-    ignore,
-    reporting_interruption,
-)
-from roboxim_runs.executors import Cancellation, CancelledError
+from roboxim_runs.events import OnEvent, Reporter, ignore
+from roboxim_runs.executors import Cancellation
 from roboxim_runs.storage.folder import checked_path
 from roboxim_sim.world import World
 
@@ -141,12 +134,12 @@ def audit_dataset(
     total, entries, expected = _entries(path, config)
     auditor, pictures = Auditor(config.checks), _Pictures(config.pictures if out is not None else 0)
     sources: dict[str, str] = {}
-    with ExitStack() as stack, reporting_interruption(on_event, lambda: "the same call or command starts again"):
+    reporter = Reporter(on_event, cancellation)
+    with ExitStack() as stack, reporter.resumable("the same call or command starts again"):
         ports = _ports(config, stack)
-        on_event(StageStarted(title="auditing", total=total, unit="episodes"))
+        progress = stack.enter_context(reporter.stage("auditing", total, "episodes"))
+        reporter.require_wanted()
         for done, entry in enumerate(entries, start=1):
-            if cancellation is not None and cancellation.is_set():
-                raise CancelledError("the audit was cancelled")
             try:
                 episode = _episode(entry, ports, expected)
             except RoboximError as error:
@@ -154,8 +147,7 @@ def audit_dataset(
             else:
                 sources[entry.name] = episode.source
                 pictures.take(episode, auditor.add(episode))
-            on_event(StageProgress(done=done, total=total))
-        on_event(StageFinished())
+            progress(done)
     if isinstance(expected, Expected) and not config.episodes:
         auditor.note("content", _missing(expected))
     result = auditor.result()
