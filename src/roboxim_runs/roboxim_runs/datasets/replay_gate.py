@@ -134,13 +134,8 @@ class ReplayReport:
             stream: The stream.
             noise_free: Whether to count the episodes without noise only.
         """
-        counted = [
-            replay
-            for episode in self.episodes
-            if episode.recorded_success and (episode.noise_free or not noise_free)
-            if (replay := episode.stream(stream)) is not None
-        ]
-        return Retained(successes=sum(replay.success for replay in counted), of=len(counted))
+        solved = [replay.success for _, replay in self._successes(stream, noise_free)]
+        return Retained(successes=sum(solved), of=len(solved))
 
     def tcp_error_m(self, stream: Stream) -> dict[str, float]:
         """Return median, 95th percentile and maximum of a stream's distances over all ticks [m]; empty: no ticks."""
@@ -156,12 +151,13 @@ class ReplayReport:
             stream: The stream.
             noise_free: Whether to return episodes without noise only.
         """
-        return [
-            episode
-            for episode in self.episodes
-            if episode.recorded_success and (episode.noise_free or not noise_free)
-            if (replay := episode.stream(stream)) is not None and not replay.success
-        ]
+        return [episode for episode, replay in self._successes(stream, noise_free) if not replay.success]
+
+    def _successes(self, stream: Stream, noise_free: bool) -> Iterator[tuple[EpisodeReplay, StreamReplay]]:
+        for episode in self.episodes:
+            replay = episode.stream(stream)
+            if replay is not None and episode.recorded_success and (episode.noise_free or not noise_free):
+                yield episode, replay
 
     @cached_property
     def required(self) -> float:

@@ -176,10 +176,7 @@ class _Prober:
 
     def _still(self, _: Any, __: str) -> Any:
         """Return the action without motion: zeros, or the nearest to them; the first one of whole numbers."""
-        space = self._env.action_space
-        if isinstance(space, gymnasium.spaces.Box):
-            return np.clip(np.zeros(space.shape, space.dtype), space.low, space.high).astype(space.dtype)
-        return _zeros_of(space)
+        return _zeros_of(self._env.action_space)
 
     def _random(self, seed: int) -> Actor:
         self._env.action_space.seed(seed)

@@ -15,12 +15,12 @@ from roboxim_core.episode import Draw, EpisodeInfo, EpisodeRunner, RunConfig
 from roboxim_core.errors import ConfigError, RoboximError, TaskError
 from roboxim_core.plain_data.shell import shell_line
 from roboxim_core.rates import ticks
-from roboxim_core.seeds import SeedPath
 from roboxim_eval.film_options import FilmOptions
 from roboxim_eval.report.charts.course import Curve
 from roboxim_eval.report.course import Floats
 from roboxim_eval.report.episode import EpisodePage, OtherWay, Signals
 from roboxim_eval.report.films import Film, film_strip
+from roboxim_runs.answers.trying import GivenScene
 from roboxim_runs.episodes.course import Course
 from roboxim_runs.episodes.pictures import film
 from roboxim_runs.storage.folder import EPISODE_MARK
@@ -264,21 +264,10 @@ def expert_way(info: EpisodeInfo, folder: Path) -> Other:
     config = RunConfig(
         run_seed=info.run_seed, purpose=info.purpose, rate_hz=info.scene.control_rate_hz, output_dir=str(folder)
     )
+    drawn = Draw(task=info.task, scene=info.scene, max_steps=ticks(EXPERT_S, info.scene.control_rate_hz))
     with CoreGraph(folder) as graph:
-        ports = replace(graph.ports, scenes=_Drawn(info))
+        ports = replace(graph.ports, scenes=GivenScene(drawn))
         result = EpisodeRunner(ports, config).run_index(info.index)
     if not result.bag:
         raise RoboximError(f"the expert has no way in this scene: {result.message or result.reason}")
     return Other(name="expert, planned now", bag=folder / result.bag)
-
-
-class _Drawn:
-    """A source of scenes that knows one alone."""
-
-    def __init__(self, info: EpisodeInfo) -> None:
-        self._info = info
-
-    def draw(self, seed: SeedPath, task_config: str) -> Draw:
-        """Return the scene of the episode."""
-        info = self._info
-        return Draw(task=info.task, scene=info.scene, max_steps=ticks(EXPERT_S, info.scene.control_rate_hz))
