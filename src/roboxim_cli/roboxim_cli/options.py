@@ -51,14 +51,6 @@ def executor_options() -> list[Decorator]:
     ]  # fmt: skip
 
 
-def with_training_resources(command: Any) -> Any:
-    """Add the option for the resources of a Ray node that a training takes; a decorator."""
-    return click.option(
-        "--training-resources", default="", metavar="NAME=N,...",
-        help="What a training takes of a Ray node, e.g. CPU=8,GPU=1; default: CPU=1.",
-    )(command)  # fmt: skip
-
-
 def parse_resources(option: str, text: str) -> dict[str, float]:
     """Parse ``CPU=2,GPU=0.25``; ``cpu`` and ``gpu`` may be written in small letters.
 
@@ -358,7 +350,11 @@ def experiment_options(key: str) -> Decorator:
             "--trained", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="RUN",
             help="Run whose trainings are evaluated: with --fresh a finished one, with --shard the whole experiment's.",
         ),
-        with_training_resources, *executor_options(),
+        click.option(
+            "--training-resources", default="", metavar="NAME=N,...",
+            help="What a training takes of a Ray node, e.g. CPU=8,GPU=1; default: CPU=1.",
+        ),
+        *executor_options(),
     )  # fmt: skip
 
 

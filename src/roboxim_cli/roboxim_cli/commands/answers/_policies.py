@@ -1,30 +1,29 @@
-"""The policy options of commands that run single episodes in this process."""
+"""The options that give policies their arguments, and the policies that commands of single episodes choose."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import click
+
+from roboxim_cli.options import with_options
 
 if TYPE_CHECKING:
     from roboxim_runs.policies.specs import ChosenPolicy
 
 
-def policy_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--checkpoint`` and ``--option``, as `evaluate` has them."""
-    for decorate in (
-        click.option(
-            "--option", "policy_options", multiple=True, metavar="[NAME.]KEY=VALUE",
-            help="Argument of policy NAME, or of the first policy; may be repeated.",
-        ),
-        click.option(
-            "--checkpoint", "checkpoints", multiple=True, metavar="[NAME=]PATH",
-            help="Checkpoint (file or folder) of policy NAME, or of the policies that take one; may be repeated.",
-        ),
-    ):  # fmt: skip
-        function = decorate(function)
-    return function
+policy_options = with_options(
+    click.option(
+        "--checkpoint", "checkpoints", multiple=True, metavar="[NAME=]PATH",
+        help="Checkpoint (file or folder) of policy NAME, or of the policies that take one; may be repeated.",
+    ),
+    click.option(
+        "--option", "policy_options", multiple=True, metavar="[NAME.]KEY=VALUE",
+        help="Argument of policy NAME, or of the first policy; may be repeated.",
+    ),
+)  # fmt: skip
+"""Adds ``--checkpoint`` and ``--option``, which give the named policies their arguments."""
 
 
 def chosen(policies: Sequence[str], checkpoints: Sequence[str], options: Sequence[str]) -> list[ChosenPolicy]:

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from roboxim_cli import strict
+from roboxim_cli.commands.answers._policies import policy_options
 from roboxim_cli.named import Named
 from roboxim_cli.options import episode_options, film_options
 from roboxim_core.plain_data.shell import shell_line
@@ -20,14 +21,7 @@ from roboxim_core.plain_data.shell import shell_line
     help="bc, random, zero, replay, expert, module:Class or file.py:Class; may be repeated to compare. NAME is "
     "shown in the report; two policies of one class need names.",
 )  # fmt: skip
-@click.option(
-    "--checkpoint", "checkpoints", multiple=True, metavar="[NAME=]PATH",
-    help="Checkpoint (file or folder) of policy NAME, or of the policies that take one; may be repeated.",
-)  # fmt: skip
-@click.option(
-    "--option", "policy_options", multiple=True, metavar="[NAME.]KEY=VALUE",
-    help="Argument of policy NAME, or of the first policy; may be repeated.",
-)  # fmt: skip
+@policy_options
 @episode_options(episodes=20, out="runs/evaluation")
 @click.option("--max-steps", type=click.IntRange(0), default=0, help="Actions per episode; 0: the task's limit.")
 @click.option("--window", type=click.IntRange(0), default=0, help="Observations per request; 0: the policy's window.")

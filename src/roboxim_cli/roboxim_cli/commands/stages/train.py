@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.options import ABSENT_IS_ZERO, option
+from roboxim_cli.options import ABSENT_IS_ZERO, option, with_options
 
 
 @strict.group()
@@ -25,10 +26,7 @@ def _training(family: str, config: str) -> Callable[[Callable[[], None]], click.
     """
     options = [
         click.argument("dataset", type=click.Path(path_type=Path)),
-        click.option(
-            "--out", type=click.Path(path_type=Path), default=f"runs/{family}", show_default=True,
-            help="Folder of the checkpoint.",
-        ),
+        option("out", default=f"runs/{family}", help="Folder of the checkpoint."),
         click.option("--steps", type=click.IntRange(1), help="Optimiser steps; default: the configuration's."),
         click.option("--seed", type=click.IntRange(0), help="Seed of weights, order and augmentation."),
         click.option(
@@ -49,17 +47,11 @@ def _training(family: str, config: str) -> Callable[[Callable[[], None]], click.
     ]  # fmt: skip
 
     def decorate(described: Callable[[], None]) -> click.Command:
-        def train(
-            dataset: Path, out: Path, steps: int | None, seed: int | None, start: Path | None,
-            config: Path | None, changes: tuple[str, ...], until: int | None, episodes: int,
-        ) -> None:  # fmt: skip
-            _train(family, dataset, out, {"steps": steps, "seed": seed}, start, config, changes, until, episodes)
+        def train(**options: Any) -> None:
+            _train(family, **options)
 
         train.__doc__ = described.__doc__
-        made = train
-        for one in reversed(options):
-            made = one(made)
-        return command.command(family, begins="training")(made)
+        return command.command(family, begins="training")(with_options(*options)(train))
 
     return decorate
 
@@ -101,8 +93,8 @@ def act() -> None:
 
 
 def _train(
-    family: str, dataset: Path, out: Path, given: dict[str, int | None], start: Path | None, config: Path | None,
-    changes: tuple[str, ...], until: int | None, episodes: int,
+    family: str, dataset: Path, out: Path, steps: int | None, seed: int | None, start: Path | None,
+    config: Path | None, changes: tuple[str, ...], until: int | None, episodes: int,
 ) -> None:  # fmt: skip
     from roboxim_bringup.process import keep_freed_memory
     from roboxim_cli.field_options import training_fields
@@ -110,7 +102,7 @@ def _train(
     from roboxim_core.plain_data.shell import shell_line
     from roboxim_runs.training.run import read_config, train_policy
 
-    settings = read_config(family, config, training_fields(changes, **given), start=start)
+    settings = read_config(family, config, training_fields(changes, steps=steps, seed=seed), start=start)
     keep_freed_memory()
     with EventPrinter() as printer:
         result = train_policy(
