@@ -6,13 +6,13 @@ import contextlib
 import json
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import click
 
 from roboxim_bringup.attach import Peer, on_graph
 from roboxim_core.errors import RoboximError
+from roboxim_core.whole_files import write_whole
 
 FRESH_S = 20.0
 """Time for which a completion's names are reused [s]."""
@@ -76,7 +76,7 @@ def _graph(run_id: str | None) -> dict[str, list[str]]:
     if time.time() - (file.stat().st_mtime if file.exists() else 0.0) < FRESH_S:
         return dict(json.loads(file.read_text()))
     found = _look(run_id)
-    _keep(file, found)
+    write_whole(file, json.dumps(found))
     return found
 
 
@@ -91,9 +91,3 @@ def _look(run_id: str | None) -> dict[str, list[str]]:
             "actions": list(peer.actions()),
             "nodes": peer.nodes(),
         }
-
-
-def _keep(file: Path, found: Any) -> None:
-    temporary = file.with_suffix(".names.new")
-    temporary.write_text(json.dumps(found))
-    temporary.replace(file)

@@ -13,6 +13,7 @@ import click
 from roboxim_bringup.attach import Peer, absolute, attach_options, graph_namespace, on_graph
 from roboxim_cli import strict
 from roboxim_cli.graph_names import complete
+from roboxim_cli.options import with_options
 
 
 class _NodeGroup(strict.Group):
@@ -45,25 +46,21 @@ def _starter(name: str) -> click.Command:
     return strict.command(name)(namespace_option(membership_options(attach_options(start))))
 
 
-def membership_options(start: Any) -> Any:
-    """Add the options that all commands that start nodes share."""
-    options = (
-        click.option(
-            "--params-file", "params_files", multiple=True, type=click.Path(exists=True, dir_okay=False),
-            help="ROS 2 parameter file; may be repeated.",
-        ),
-        click.option(
-            "-p", "--param", "assignments", multiple=True, metavar="[NODE:]NAME:=VALUE",
-            help="A parameter; may be repeated.",
-        ),
-        click.option(
-            "--open-network", is_flag=True,
-            help="Let other hosts and users reach the graph of a new run; default: only you, on this machine.",
-        ),
-    )  # fmt: skip
-    for option in reversed(options):
-        start = option(start)
-    return start
+membership_options = with_options(
+    click.option(
+        "--params-file", "params_files", multiple=True, type=click.Path(exists=True, dir_okay=False),
+        help="ROS 2 parameter file; may be repeated.",
+    ),
+    click.option(
+        "-p", "--param", "assignments", multiple=True, metavar="[NODE:]NAME:=VALUE",
+        help="A parameter; may be repeated.",
+    ),
+    click.option(
+        "--open-network", is_flag=True,
+        help="Let other hosts and users reach the graph of a new run; default: only you, on this machine.",
+    ),
+)  # fmt: skip
+"""Adds the options that all commands that start nodes share."""
 
 
 namespace_option = click.option("--namespace", default="", help="Namespace of the graph, e.g. /w0.")
