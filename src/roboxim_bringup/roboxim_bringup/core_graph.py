@@ -18,6 +18,7 @@ from std_msgs.msg import String
 
 from roboxim_bringup.cores import CorePlanner, CoreSegmentation
 from roboxim_core.actions import ActionArray, ActionSemantics
+from roboxim_core.closing import Closing
 from roboxim_core.episode import ActorPort, Draw, EpisodeInfo, EpisodeResult, EpisodeStep, Ports
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
@@ -204,7 +205,7 @@ class CoreRecorder:
             self._recording = None
 
 
-class CoreGraph:
+class CoreGraph(Closing):
     """All rooms without nodes. A context manager; belongs to the thread that made it."""
 
     def __init__(self, output_dir: Path, *, renderer: str = "raster", policy: Policy | None = None) -> None:
@@ -232,11 +233,7 @@ class CoreGraph:
             clock=time.monotonic,
         )  # fmt: skip
 
-    def __enter__(self) -> CoreGraph:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         """Free everything."""
         self.segmentation.close()
         self.sim.close()

@@ -6,7 +6,6 @@ import queue
 import time
 from collections.abc import Callable, Collection
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Protocol
 
 from roboxim_core.errors import ConfigError
@@ -116,9 +115,7 @@ class LiveRecording:
         """Return itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Write the rest, the index and ``metadata.yaml``."""
         self.write()
         with disk_errors(self._folder):

@@ -9,11 +9,11 @@ from collections.abc import Mapping
 from concurrent.futures import Future
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 
+from roboxim_core.closing import Closing
 from roboxim_core.errors import InvalidRequestError
 from roboxim_core.vision.images import PNG_COMPRESSION, encode_image
 from roboxim_datasets.build import ResumableBuild, write_files
@@ -37,7 +37,7 @@ _SAMPLES = 8  # sampled pixels of depth and segmentation, a side
 _UNDER_WAY = 4  # episodes whose videos may still be encoding while the next one is read
 
 
-class LeRobotWriter:
+class LeRobotWriter(Closing):
     """Writes a dataset; a context manager that ends its video workers.
 
     Non-obvious: after an interruption the next writer of the same ``identity`` keeps the finished episodes; the caller
@@ -143,11 +143,7 @@ class LeRobotWriter:
         write_files(self._build.staged, {**texts, **files})
         self._build.finish()
 
-    def __enter__(self) -> LeRobotWriter:
-        """Return the writer."""
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+    def close(self) -> None:
         """End the video workers; what is not complete stays resumable."""
         self._videos.close()
 

@@ -229,7 +229,7 @@ class EpisodeSession:
         """Free everything; a second call does nothing."""
         self._drop()
         if self._graph is not None and os.getpid() == self._pid:
-            self._graph.__exit__()
+            self._graph.close()
         self._graph = None
 
     def _drop(self) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
 from roboxim_bringup.core_graph import CoreRecorder, CoreSim
+from roboxim_core.closing import Closing
 from roboxim_core.episode import EpisodeInfo, EpisodeResult, EpisodeStep
 from roboxim_core.models.library import ModelLibrary
 from roboxim_core.recorded import recorded_parameters
@@ -70,7 +70,7 @@ class Recorded:
         return Recorded(info=reader.info, result=reader.result, states=tuple(tick.state for tick in ticks), acts=acts)
 
 
-class Reenactor:
+class Reenactor(Closing):
     """A simulator and a recorder. A context manager; belongs to the thread that made it."""
 
     def __init__(self, out: Path) -> None:
@@ -79,13 +79,7 @@ class Reenactor:
         self._sim = CoreSim(self.library)
         self._out = out
 
-    def __enter__(self) -> Reenactor:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         """Free simulator and renderer."""
         self._sim.close()
 

@@ -59,11 +59,11 @@ def main() -> None:
                 connection.send(("result", EpisodeRunner(graph.ports, config).run_index(value)))
             elif value != known:
                 if graph is not None:
-                    graph.__exit__()
+                    graph.close()
                 graph = CoreGraph(Path(), renderer=sys.argv[2], policy=Elsewhere(connection, value))
                 known = value
     if graph is not None:
-        graph.__exit__()
+        graph.close()
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from typing import Any
 
 from roboxim_bringup.core_graph import CoreGraph
 from roboxim_bringup.cores import CorePlanner
+from roboxim_core.closing import Closing
 from roboxim_core.episode import Draw, EpisodeRunner, RunConfig
 from roboxim_core.errors import RoboximError
 from roboxim_core.models.library import ModelLibrary
@@ -61,7 +62,7 @@ class _Draws:
         return found
 
 
-class TrialRuns:
+class TrialRuns(Closing):
     """Runs episodes of trials. A context manager; belongs to the thread that made it."""
 
     def __init__(self) -> None:
@@ -71,13 +72,9 @@ class TrialRuns:
         self._planner = CorePlanner(self._library)
         self._scenes = _Draws(self._cores.ports.scenes)
 
-    def __enter__(self) -> TrialRuns:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         """Free everything."""
-        self._cores.__exit__()
+        self._cores.close()
 
     def run(self, trial: Trial, index: int) -> TrialOutcome:
         """Run a trial in a scene.

@@ -19,7 +19,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from functools import partial
-from types import TracebackType
 from typing import Any
 
 from roboxim_core.errors import ConfigError, UnavailableError, raise_for_code
@@ -94,9 +93,7 @@ class RayExecutor(PooledExecutor):
         self._connection.enter_context(_connected(self.address, self.workers))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Disconnect."""
         self._connection.close()
 

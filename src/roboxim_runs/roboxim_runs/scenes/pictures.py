@@ -12,6 +12,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from roboxim_bringup.cores import CorePlanner, CoreSegmentation
+from roboxim_core.closing import Closing
 from roboxim_core.config import load_yaml, named_config
 from roboxim_core.config_folders import config_names
 from roboxim_core.episode import Draw
@@ -46,7 +47,7 @@ GAP_PX = 6
 MARK = (220, 40, 40)
 
 
-class ScenePainter:
+class ScenePainter(Closing):
     """Draws tasks as runs do, and pictures of scenes. A context manager; belongs to the thread that made it."""
 
     def __init__(self, renderer: str = "raster") -> None:
@@ -58,11 +59,7 @@ class ScenePainter:
         self._world = World(self._library)
         self._states = StateRenderer(make_renderer(renderer), self._library)
 
-    def __enter__(self) -> ScenePainter:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         """Free everything."""
         self._seen.close()
         self._states.renderer.close()

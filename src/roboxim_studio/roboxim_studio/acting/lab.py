@@ -95,6 +95,6 @@ class Lab:
             self._states.renderer.close()
             self._states = None
         if self._graph is not None:
-            self._graph.__exit__()
+            self._graph.close()
             self._graph = None
         self._folder.cleanup()
