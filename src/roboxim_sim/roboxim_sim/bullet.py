@@ -50,4 +50,14 @@ class BulletClient:
         def __getattr__(self, name: str) -> Any: ...
 
 
-__all__ = ["BulletClient", "pybullet"]
+@contextlib.contextmanager
+def bullet_client() -> Iterator[BulletClient]:
+    """Yield a client, and disconnect it at the end of the block."""
+    client = BulletClient()
+    try:
+        yield client
+    finally:
+        client.disconnect()
+
+
+__all__ = ["BulletClient", "bullet_client", "pybullet"]

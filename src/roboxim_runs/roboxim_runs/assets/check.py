@@ -25,7 +25,7 @@ from roboxim_core.specs import EntitySpec, TableSpec
 from roboxim_runs.assets.floating_hand import CLEARANCE_M, TIP_BEYOND_TCP_M, lowest_tip
 from roboxim_runs.assets.solids import UPS
 from roboxim_sim.bodies import ObjectBody, build_table, configure
-from roboxim_sim.bullet import BulletClient
+from roboxim_sim.bullet import BulletClient, bullet_client
 from roboxim_sim.rendering import textures  # noqa: F401  (registers the room's, which an object may use too)
 
 YAWS = (0.0, 0.4, 1.1, 2.0, 2.9, -1.0)
@@ -76,8 +76,7 @@ def clearance(model: ObjectModel) -> list[Finding]:
 def stability(model: ObjectModel) -> list[Finding]:
     """Check that an object stays at rest on a table, upright and toppled."""
     found = []
-    client = BulletClient()
-    try:
+    with bullet_client() as client:
         for k, start in enumerate((Pose(position=(0.0, 0.0, model.rest_height)), *model.toppled)):
             moved, turned = np.max([_motion(client, model, start, yaw) for yaw in YAWS], axis=0)
             if moved > MOVED_M or turned > TURNED_RAD:
@@ -90,8 +89,6 @@ def stability(model: ObjectModel) -> list[Finding]:
                         "it a pose or shapes that stand",
                     )
                 )
-    finally:
-        client.disconnect()
     return found
 
 

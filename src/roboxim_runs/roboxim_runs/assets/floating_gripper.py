@@ -20,7 +20,7 @@ from roboxim_core.poses import Pose
 from roboxim_core.specs import RobotSpec
 from roboxim_runs.assets.floating_hand import Floating, FloatingHand
 from roboxim_runs.robots.grippers import gripper, mounted
-from roboxim_sim.bullet import BulletClient
+from roboxim_sim.bullet import BulletClient, bullet_client
 from roboxim_sim.robot_body import RobotBody
 
 FRANKA_HAND = "franka_hand"
@@ -148,11 +148,9 @@ _KEPT: list[tempfile.TemporaryDirectory[str]] = []
 @lru_cache(maxsize=8)
 def _tcp_in_base(name: str) -> Pose:
     """Return the pose of the tool centre point in the base of a gripper's robot, with its joints at 0."""
-    client, model = BulletClient(), gantry(name)
-    try:
+    model = gantry(name)
+    with bullet_client() as client:
         body = RobotBody(client, model, RobotSpec(model=name), (0.0, 0.0, 0.0))
         link = next(number for number, link in body.link_names.items() if link == model.tcp_link)
         position, turn = client.getLinkState(body.id, link, computeForwardKinematics=True)[4:6]
         return Pose(position=tuple(position), quat_xyzw=tuple(turn))
-    finally:
-        client.disconnect()

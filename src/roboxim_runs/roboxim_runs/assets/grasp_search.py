@@ -18,7 +18,7 @@ from roboxim_core.models.description import GraspAnnotation, ObjectModel
 from roboxim_core.poses import Array, Pose
 from roboxim_runs.assets.floating_hand import BLOCKED, CLEARANCE_M, Floating, FloatingHand, lowest_tip, try_grasp
 from roboxim_runs.assets.solids import surface_points
-from roboxim_sim.bullet import BulletClient
+from roboxim_sim.bullet import BulletClient, bullet_client
 
 SAMPLES = 1500
 """Surface points among which pairs are sought."""
@@ -79,8 +79,7 @@ def find_grasps(
     found: list[GraspAnnotation] = []
     failures: list[str] = []
     closed = 0
-    client = BulletClient()
-    try:
+    with bullet_client() as client:
         for candidate in _candidates(pairs, model):
             if len(found) >= enough or closed >= tries or len(failures) - closed >= MAX_BLOCKED:
                 break
@@ -98,8 +97,6 @@ def find_grasps(
                 failures.append(reason)
             closed += not reason.startswith(BLOCKED)
             on_try(closed)
-    finally:
-        client.disconnect()
     return Search(grasps=tuple(found), tried=closed, pairs=len(pairs), failures=tuple(failures))
 
 

@@ -12,7 +12,7 @@ from roboxim_core.models.description import ObjectModel
 from roboxim_core.poses import Array, Pose
 from roboxim_core.specs import EntitySpec, TableSpec
 from roboxim_sim.bodies import ObjectBody, build_table, configure
-from roboxim_sim.bullet import BulletClient
+from roboxim_sim.bullet import BulletClient, bullet_client
 
 DROPS = 40
 """Number of drops from random orientations."""
@@ -48,13 +48,10 @@ def rest_poses(model: ObjectModel, drops: int = DROPS) -> list[RestPose]:
     """
     turns = Rotation.random(drops - 1, random_state=np.random.default_rng(0))
     ends: list[Pose] = []
-    client = BulletClient()
-    try:
+    with bullet_client() as client:
         for turn in (Rotation.identity(), *turns):
             if (end := _drop(client, model, turn)) is not None:
                 ends.append(end)
-    finally:
-        client.disconnect()
     groups: list[list[Pose]] = []
     for end in ends:
         group = next((group for group in groups if _between(_up(group[0]), _up(end)) < SAME_RAD), None)

@@ -27,7 +27,7 @@ from roboxim_planner.robot import PlannerRobot
 from roboxim_planner.scene import PlanningScene
 from roboxim_runs.robots.gripper_derivation import jaw_gap
 from roboxim_runs.robots.home import TOOL_DOWN
-from roboxim_sim.bullet import BulletClient
+from roboxim_sim.bullet import bullet_client
 from roboxim_sim.robot_body import RobotBody
 from roboxim_sim.world import World
 from roboxim_tasks.motion import JAW_CLEARANCE_M
@@ -107,8 +107,7 @@ def _states(model: RobotModel, count: int) -> Array:
 def _kinematics(model: RobotModel) -> tuple[bool, str]:
     """Compare PyBullet's TCP with Pinocchio's."""
     kinematics, metres, radians = ArmKinematics(model), 0.0, 0.0
-    client = BulletClient()
-    try:
+    with bullet_client() as client:
         body = RobotBody(client, model, RobotSpec(model=model.id), model.home)
         tcp = {link: number for number, link in body.link_names.items()}[model.tcp_link]
         for joints in _states(model, STATES):
@@ -118,8 +117,6 @@ def _kinematics(model: RobotModel) -> tuple[bool, str]:
             expected = kinematics.fk(joints)
             metres = max(metres, float(np.linalg.norm(np.subtract(place, expected.position))))
             radians = max(radians, float((Rotation.from_quat(turn).inv() * expected.rotation).magnitude()))
-    finally:
-        client.disconnect()
     detail = f"PyBullet and Pinocchio differ by at most {metres:.1e} m and {radians:.1e} rad in {STATES} states"
     return metres <= SAME_M and radians <= SAME_RAD, detail
 
