@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from roboxim_cli import strict
+from roboxim_cli.stopping import stop_event
 
 
 @strict.group()
@@ -30,14 +31,9 @@ def serve(host: str, port: int, max_environments: int, all_users: bool) -> None:
 
     The environments of one server share a process. Start several servers, at several ports, to run them in parallel.
     """
-    import signal
-    import threading
-
     from roboxim_runs.environments.serving import EnvironmentServer
 
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_event()
     with EnvironmentServer(
         host=host, port=port, max_environments=max_environments, all_users=all_users,
         log=lambda text: click.echo(text, err=True),

@@ -11,6 +11,7 @@ from roboxim_cli import strict
 from roboxim_cli.named import Named
 from roboxim_cli.options import is_given, option, parse_side
 from roboxim_cli.ros.node import membership_options, run_node
+from roboxim_cli.stopping import stop_event
 
 
 @strict.group()
@@ -100,9 +101,6 @@ def _serve_wire(
     size: int,
 ) -> None:  # fmt: skip
     """Serve a policy over a wire until a signal arrives."""
-    import signal
-    import threading
-
     from roboxim_bringup.parameters import parse_options
     from roboxim_core.conventions import load_convention
     from roboxim_policies.base import load_policy
@@ -114,9 +112,7 @@ def _serve_wire(
         lambda: load_policy(spec, **given), wire, convention=meaning, size=size, host=host, port=port,
         all_users=all_users, log=lambda text: click.echo(text, err=True),
     )  # fmt: skip
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_event()
     with server:
         click.echo(f"policy {server.sessions.description.name} at {server.url}, wire {wire}, ", nl=False)
         click.echo(f"convention {server.sessions.convention.name}; Ctrl-C stops it")

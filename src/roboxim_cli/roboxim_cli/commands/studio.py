@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 from roboxim_bringup.attach import run_option
 from roboxim_cli import strict
+from roboxim_cli.stopping import stop_event
 
 
 @strict.command(begins="starting the studio")
@@ -51,7 +52,6 @@ def command(
     The printed address holds a secret: whoever has it can use the page. From another machine use an SSH tunnel:
     ssh -L 8080:127.0.0.1:8080 MACHINE roboxim studio --port 8080. Ctrl-C ends the studio.
     """
-    import signal
     import threading
     import webbrowser
 
@@ -66,9 +66,7 @@ def command(
         return
     chosen = _policies(policies, checkpoints)
     run, others = choose_graph(run_id) if run_id or not what else (None, ())
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_event()
     graph = None if run is None else LiveGraph(run, others)
     site = Site(Access(open_network=open_network), port)
     click.echo(f"studio at {site.url}")
