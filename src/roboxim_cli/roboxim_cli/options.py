@@ -382,6 +382,41 @@ def experiment_run(make: Callable[..., T], options: dict[str, Any]) -> tuple[T, 
     return config, runs_on, trains_on
 
 
+def report_options() -> Decorator:
+    """Return a decorator that adds what the report of a run or of a card is made of, and where it is written."""
+    return with_options(
+        click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False),
+        click.option(
+            "--from", "card", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",
+            help="A card.json alone instead of a run's folder.",
+        ),
+        option("out", help="File of the page that --from writes; default: none."),
+        click.option(
+            "--markdown", type=click.Path(path_type=Path), help="Also write sentences and tables to this file.",
+        ),
+    )  # fmt: skip
+
+
+def check_report_options(folder: Path | None, card: Path | None, out: Path | None, *, of: str) -> None:
+    """Check values of `report_options`.
+
+    Args:
+        folder: The folder.
+        card: The card.
+        out: File of the page.
+        of: What the folder is of, e.g. ``benchmark``.
+
+    Raises:
+        ConfigError: When they contradict each other.
+    """
+    from roboxim_core.errors import ConfigError
+
+    if (folder is None) == (card is None):
+        raise ConfigError(f"name the folder of a {of}, or a card with --from CARD")
+    if folder is not None and out is not None:
+        raise ConfigError("the report of a run is written into its own folder; leave out --out")
+
+
 def parse_size(text: str) -> tuple[int, int]:
     """Parse an image size: ``128`` or ``128x96`` (width x height), or ``as-configured`` (0, 0).
 

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.options import experiment_options, experiment_run, option
+from roboxim_cli.options import check_report_options, experiment_options, experiment_run, report_options
 from roboxim_core.whole_files import write_whole
 
 REPORT = "report"
@@ -77,16 +77,9 @@ def _run_command(name: str) -> click.Command:
 
 
 @command.command(REPORT, begins="writing the report")
-@click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False)
-@click.option(
-    "--from", "card", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",
-    help="A card.json alone instead of a run's folder.",
-)  # fmt: skip
-@option("out", help="File of the page that --from writes; default: none.")
-@click.option("--markdown", type=click.Path(path_type=Path), help="Also write sentences and tables to this file.")
+@report_options()
 def report(folder: Path | None, card: Path | None, out: Path | None, markdown: Path | None) -> None:
     """Check the results of a benchmark's folder or card, print them, and write FOLDER/report.html."""
-    from roboxim_core.errors import ConfigError
     from roboxim_runs.experiments.benchmark import (
         benchmark_card_page,
         benchmark_warnings,
@@ -94,10 +87,7 @@ def report(folder: Path | None, card: Path | None, out: Path | None, markdown: P
         write_benchmark_report,
     )
 
-    if (folder is None) == (card is None):
-        raise ConfigError("name the folder of a benchmark, or a card with --from CARD")
-    if folder is not None and out is not None:
-        raise ConfigError("the report of a run is written into its own folder; leave out --out")
+    check_report_options(folder, card, out, of="benchmark")
     page = out
     if folder is not None:
         found, page = write_benchmark_report(folder), folder / "report.html"

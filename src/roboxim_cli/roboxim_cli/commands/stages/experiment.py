@@ -10,7 +10,14 @@ import click
 from roboxim_cli import strict
 from roboxim_cli.commands.stages import _experiment_calibrate, _experiment_collect, _experiment_rotate
 from roboxim_cli.named import Named
-from roboxim_cli.options import experiment_options, experiment_run, option, print_json
+from roboxim_cli.options import (
+    check_report_options,
+    experiment_options,
+    experiment_run,
+    option,
+    print_json,
+    report_options,
+)
 from roboxim_core.errors import counted
 from roboxim_core.plain_data.shell import shell_line
 from roboxim_core.whole_files import write_whole
@@ -231,13 +238,7 @@ def attest(out: Path) -> None:
 
 
 @command.command("report", begins="writing the report")
-@click.argument("folder", type=click.Path(path_type=Path, exists=True), required=False)
-@click.option(
-    "--from", "card", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="CARD",
-    help="A card.json alone instead of a run's folder.",
-)  # fmt: skip
-@option("out", help="File of the page that --from writes; default: none.")
-@click.option("--markdown", type=click.Path(path_type=Path), help="Also write sentences and tables to this file.")
+@report_options()
 @click.option("--films", type=click.IntRange(0), default=8, show_default=True, help="Films of each condition.")
 @click.option("--evaluations", is_flag=True, help="Also write a page for each evaluation, beside its bags.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -270,10 +271,7 @@ def report(
         write_experiment_report,
     )
 
-    if (folder is None) == (card is None):
-        raise ConfigError("name the folder of a run, or a card with --from CARD")
-    if folder is not None and out is not None:
-        raise ConfigError("the report of a run is written into its own folder; leave out --out")
+    check_report_options(folder, card, out, of="run")
     if evaluations and folder is None:
         raise ConfigError("--evaluations needs the folder of a run: a card has no episodes")
     pages: list[Path] = []
