@@ -10,6 +10,7 @@ import click
 
 from roboxim_cli import strict
 from roboxim_cli.options import print_json
+from roboxim_core.plain_data.tables import aligned
 
 if TYPE_CHECKING:
     from roboxim_ros.runs import Run
@@ -53,7 +54,7 @@ def _list_live(as_json: bool) -> None:
         rows.append(
             (run.id, run.kind, str(run.domain), network, str(len(run.live_pids)), started, names, _progress(run))
         )
-    _print_table(rows)
+    click.echo("\n".join(aligned(rows)))
 
 
 def _progress(run: Run) -> str:
@@ -101,13 +102,7 @@ def _list_folders(folders: Sequence[Path], as_json: bool) -> None:
                 state.executor or "-", state.host or "-", quiet,
             )
         )  # fmt: skip
-    _print_table(rows)
+    click.echo("\n".join(aligned(rows)))
     for state in found:
         if state.message:
             click.echo(f"{state.folder}: {state.message}")
-
-
-def _print_table(rows: Sequence[tuple[str, ...]]) -> None:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    for row in rows:
-        click.echo("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

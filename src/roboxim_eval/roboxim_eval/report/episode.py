@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from markupsafe import Markup
 
+from roboxim_core.plain_data.tables import aligned
 from roboxim_eval.report.charts.course import Curve, course_chart, value_text
 from roboxim_eval.report.course import ConditionCourse, shown
 from roboxim_eval.report.films import Film
@@ -204,17 +205,17 @@ def episode_text(page: EpisodePage) -> str:
             for one in page.conditions
             if one is cause or not one.holds.all()
         ]  # fmt: skip
-        lines += _aligned(rows)
+        lines += aligned(rows)
         kept = [one.name for one in page.conditions if one.holds.all() and one is not cause]
         lines += [f"  held throughout: {', '.join(kept)}"] if kept else []
     for signals in page.signals:
         lines += ["", f"{signals.name}:"]
-        lines += _aligned([
+        lines += aligned([
             (f"  {curve.name}", " to ".join(value_text(curve, end) for end in _ends(curve)), sparkline(curve.lines[0]))
             for curve in signals.curves
         ])  # fmt: skip
     lines += ["", "the scene held:"]
-    lines += _aligned(
+    lines += aligned(
         [tuple(f"  {value}" if n == 0 else value for n, value in enumerate(row.values())) for row in page.held]
     )
     lines += ["", "the same scene by others:"]
@@ -235,9 +236,3 @@ def _folded(text: str) -> Iterator[str]:
 def _ends(curve: Curve) -> tuple[float, float]:
     """Return the smallest and the largest value of a curve's first line."""
     return float(np.nanmin(curve.lines[0])), float(np.nanmax(curve.lines[0]))
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return rows with aligned columns."""
-    widths = [max(len(row[n]) for row in rows) for n in range(len(rows[0]))] if rows else []
-    return ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]

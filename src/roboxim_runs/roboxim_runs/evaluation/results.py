@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from roboxim_core.episode import EpisodeResult
 from roboxim_core.errors import ConfigError, EvaluationError, one_of
+from roboxim_core.plain_data.tables import aligned
 from roboxim_runs.evaluation.notebook import evaluation_html
 from roboxim_runs.filmed import Episode
 
@@ -145,8 +146,7 @@ class EvaluationResult:
             rows.append(
                 (skill, *(f"{sum(r.outcome == 'success' for r in found)} of {len(found)}" for found in of.values()))
             )
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return tuple("  ".join(cell.ljust(n) for cell, n in zip(row, widths, strict=True)).rstrip() for row in rows)
+        return tuple(aligned(rows))
 
     @property
     def episodes(self) -> tuple[Episode, ...]:
