@@ -190,7 +190,6 @@ def write_episode_page(
     ]
     page = shown_episode(bag, films=film, others=there, shown_as=os.path.relpath(shown_as, out), name=name, run=run)
     path = out / PAGES / _folder(name) / f"{bag.name}.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, episode_page(page))
     return path.relative_to(out).as_posix()
 

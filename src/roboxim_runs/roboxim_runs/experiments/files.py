@@ -19,6 +19,7 @@ from roboxim_core.errors import ConfigError, one_of
 from roboxim_core.plain_data.merging import merged
 from roboxim_core.plain_data.pictures import load_with_textures
 from roboxim_core.plain_data.shell import shell_line
+from roboxim_core.whole_files import write_whole
 from roboxim_eval.benchmark.config import BenchmarkConfig, benchmark_config, experiment_changes
 from roboxim_eval.experiments import Design, ExperimentConfig, design_of, experiment_config, mix_of
 from roboxim_eval.experiments.config import FULL
@@ -162,8 +163,7 @@ def write_experiment(config: ExperimentConfig, path: Path) -> None:
         )
     _require_free(path)
     content = json.loads(json.dumps({**to_plain(config), "scales": {}}))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(yaml.safe_dump(content, sort_keys=False))
+    write_whole(path, yaml.safe_dump(content, sort_keys=False))
 
 
 def _require_free(path: Path) -> None:
@@ -220,8 +220,7 @@ def write_rotated(
     for key, path in zip(parts, paths, strict=False):  # the last is the benchmark's
         write_experiment(parts[key], path)
     benchmark = {"about": f"{config.about} Held-out sets rotate.", "experiments": list(parts)}
-    paths[-1].parent.mkdir(parents=True, exist_ok=True)
-    paths[-1].write_text(yaml.safe_dump(benchmark, sort_keys=False))
+    write_whole(paths[-1], yaml.safe_dump(benchmark, sort_keys=False))
     return paths
 
 

@@ -5,13 +5,13 @@ Lists and plans of experiments read them, so this module does not import the mea
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 from roboxim_core.config import from_json, to_json
 from roboxim_core.errors import ConfigError
 from roboxim_core.plain_data.documents import read_text
 from roboxim_core.user_folders import cache_dir
+from roboxim_core.whole_files import write_whole
 from roboxim_eval.experiments import Rates
 
 
@@ -59,8 +59,5 @@ def _read(path: Path) -> Rates | None:
 def store_rates(rates: Rates) -> Path:
     """Store rates as this machine's; return the file."""
     path = rates_file(rates.size, rates.experiment)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_suffix(".draft")
-    draft.write_text(to_json(rates) + "\n")
-    shutil.move(draft, path)
+    write_whole(path, to_json(rates) + "\n")
     return path
