@@ -1,11 +1,13 @@
-"""``roboxim up --detach``: start the same command in a new session."""
+"""Commands that keep running: ``roboxim up --detach`` in a new session, and servers until they are told to stop."""
 
 from __future__ import annotations
 
 import os
 import secrets
+import signal
 import subprocess
 import sys
+import threading
 import time
 
 import click
@@ -58,3 +60,11 @@ def start_detached(run_id: str | None) -> None:
         process.terminate()
         raise
     click.echo(f"run {name} is up; its log: {log}\nend it with: roboxim down --run {name}")
+
+
+def stop_event() -> threading.Event:
+    """Return an event that Ctrl-C and SIGTERM set from now on, instead of ending the process."""
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    return stop

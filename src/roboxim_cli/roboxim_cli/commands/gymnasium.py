@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from roboxim_cli import strict
-from roboxim_cli.stopping import stop_event
+from roboxim_cli.detach import stop_event
 
 
 @strict.group()

@@ -8,10 +8,10 @@ import click
 
 from roboxim_bringup.attach import attach_options
 from roboxim_cli import strict
+from roboxim_cli.detach import stop_event
 from roboxim_cli.named import Named
 from roboxim_cli.options import is_given, option, parse_side
 from roboxim_cli.ros.node import membership_options, run_node
-from roboxim_cli.stopping import stop_event
 
 
 @strict.group()

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 from roboxim_bringup.attach import run_option
 from roboxim_cli import strict
-from roboxim_cli.stopping import stop_event
+from roboxim_cli.detach import stop_event
 
 
 @strict.command(begins="starting the studio")
