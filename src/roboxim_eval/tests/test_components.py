@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from planted_cards import RATES
+from planted_cards import RATES, planted_card, shipped
 
 from roboxim_core.config import load_yaml, named_config
 from roboxim_core.errors import ConfigError, InvalidRequestError
 from roboxim_eval.experiments import experiment_config
 from roboxim_eval.experiments.allocation import allocated, allocation_of
 from roboxim_eval.experiments.card_checks import check_card
-from roboxim_eval.experiments.spread import card_spreads, primary_components, spread_data, spread_rows
+from roboxim_eval.experiments.spread import card_pairing, card_spreads, primary_components, spread_data, spread_rows
 from roboxim_eval.report.experiment import ExperimentPage, experiment_page
 from roboxim_eval.statistics.components import (
     Components,
@@ -62,6 +62,37 @@ def test_intervals_of_a_card_are_those_of_its_scores_and_wider_with_cells_as_a_s
     page = experiment_page(ExperimentPage(card=card))
     assert "What the intervals are made of" in page
     assert "-47 to +4" in page
+
+
+def test_a_report_says_what_pairs_of_one_seed_have_in_common():
+    design = shipped("skill_object", replicates=8)
+    card = planted_card(design, lambda condition, cell: 0.5)
+    luck = np.random.default_rng(3).permutation(8)
+
+    def of(shared):
+        """Return the card with trainings of 6 to 13 successes in 20, the baseline's alike if `shared`."""
+        rows = [
+            replace(
+                row,
+                by_cell=dict.fromkeys(
+                    row.by_cell,
+                    (6 + int(luck[row.replicate if shared or row.condition != "baseline" else -row.replicate]), 20, 0),
+                ),
+            )
+            for row in card.evaluations
+        ]
+        return replace(card, evaluations=tuple(rows))
+
+    found = card_pairing(of(shared=True))
+    assert found.trainings == 8
+    assert found.correlation.value == pytest.approx(1)
+    assert found.paired == pytest.approx(0, abs=1e-9)
+    assert found.unrelated == pytest.approx(np.sqrt(2) * np.std(np.arange(8) / 20, ddof=1))
+    apart = of(shared=False)
+    other = card_pairing(apart)
+    assert -1 < other.correlation.low < other.correlation.value < other.correlation.high < 0.99
+    assert other.sentence in experiment_page(ExperimentPage(card=apart))
+    assert card_pairing(published("skill_object-night")) is None, "three pairs have no interval of a correlation"
 
 
 def simulated(rng, parts, replicates, cells, episodes, *, cell_rates=None):

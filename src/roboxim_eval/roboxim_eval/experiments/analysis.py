@@ -136,10 +136,8 @@ def _differences(
 ) -> ConditionDifference:
     first = arms[compare.first].within(_keys(design, compare.where))
     second = arms[compare.second].within(_keys(design, compare.against or compare.where))
-    origins = {design.config.conditions[name].checkpoint_of or name for name in (compare.first, compare.second)}
-    return condition_difference(
-        first, second, pairs, same_cells=not compare.against, same_trainings=len(origins) == 1
-    )  # fmt: skip
+    same = design.config.compares_same_trainings(compare)
+    return condition_difference(first, second, pairs, same_cells=not compare.against, same_trainings=same)
 
 
 def _p_value(difference: ConditionDifference) -> float:

@@ -360,6 +360,10 @@ class ExperimentConfig:
         """The comparison that the experiment was designed for; none: it compares nothing."""
         return next((c for c in self.compare if c.primary), self.compare[0] if self.compare else None)
 
+    def compares_same_trainings(self, compare: CompareConfig) -> bool:
+        """Tell whether both sides of a comparison evaluate the same trainings."""
+        return len({self.conditions[name].checkpoint_of or name for name in (compare.first, compare.second)}) == 1
+
     @property
     def blind(self) -> str:
         """Condition that evaluates the primary comparison's first condition without words; empty: none."""

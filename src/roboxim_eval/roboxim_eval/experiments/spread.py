@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from roboxim_core.errors import ConfigError
 from roboxim_eval.experiments.card import Card
 from roboxim_eval.experiments.card_checks import design_of_card, outcomes_of_card, plain_interval
@@ -58,7 +60,10 @@ def card_spreads(card: Card) -> tuple[Spread, ...]:
         cells = [key for key in first.cells if key in keys]
         components = difference_components(first, second, cells)
         name = f"{primary.first} - {primary.second}"
-        fixed = condition_difference(first.within(cells), second.within(cells), _pairs(card)).interval()
+        same = card.experiment.config.compares_same_trainings(primary)
+        fixed = condition_difference(
+            first.within(cells), second.within(cells), _pairs(card), same_trainings=same
+        ).interval()  # fmt: skip
         found.append(Spread(name=name, where=where, components=components, difference=True, fixed=fixed))
     return tuple(found)
 
@@ -68,6 +73,69 @@ def _pairs(card: Card) -> tuple[Pairs, ...]:
     config, outcomes = card.experiment.config, outcomes_of_card(card)
     assert config.primary is not None
     return tuple(outcomes.pairs.get(config.compare.index(config.primary), ()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pairing:
+    """What trainings of one seed have in common, in the primary comparison."""
+
+    trainings: int
+    """Number of pairs."""
+    paired: float
+    """Standard deviation of the differences of trainings of one seed, as a success rate."""
+    unrelated: float
+    """That of trainings of different seeds, from the variances of both conditions."""
+    correlation: Interval
+    """Pearson's correlation of the rates of one seed, with its 95 % interval (Fisher)."""
+
+    @property
+    def sentence(self) -> str:
+        """The gain in one sentence."""
+        one = self.correlation
+        return (
+            f"Trainings of one seed differ by {100 * self.paired:.1f} points (SD of {self.trainings}), any two by "
+            f"{100 * self.unrelated:.1f}; correlation {one.value:+.2f} ({one.low:+.2f} to {one.high:+.2f})."
+        )
+
+
+def card_pairing(card: Card) -> Pairing | None:
+    """Return what the pairing of the primary comparison gains.
+
+    None: fewer than four pairs, whose correlation has no interval; a condition that is not trained, or whose trainings
+    have equal rates.
+    """
+    from scipy.stats import pearsonr
+
+    config = card.experiment.config
+    primary = config.primary
+    if (
+        primary is None
+        or primary.against
+        or not all(config.conditions[c].train for c in (primary.first, primary.second))
+    ):
+        return None
+    arms = outcomes_of_card(card).arms
+    keys = {cell.key for cell in chosen(design_of_card(card).cells, primary.where)}
+    cells = [key for key in arms[primary.first].cells if key in keys]
+    first, second = (arms[name].within(cells).rates for name in (primary.first, primary.second))
+    if len(first) < 4 or not (np.ptp(first) and np.ptp(second)):
+        return None
+    found = pearsonr(first, second)
+    bounds = found.confidence_interval()
+    return Pairing(
+        trainings=len(first), paired=float(np.std(first - second, ddof=1)),
+        unrelated=float(np.sqrt(np.var(first, ddof=1) + np.var(second, ddof=1))),
+        correlation=Interval(value=float(found.statistic), low=float(bounds.low), high=float(bounds.high)),
+    )  # fmt: skip
+
+
+def pairing_data(card: Card) -> dict[str, Any] | None:
+    """Return `card_pairing` as plain data."""
+    found = card_pairing(card)
+    return None if found is None else {
+        "trainings": found.trainings, "sd_paired": round(found.paired, 6), "sd_unrelated": round(found.unrelated, 6),
+        "correlation": plain_interval(found.correlation),
+    }  # fmt: skip
 
 
 def primary_components(card: Card) -> Components:

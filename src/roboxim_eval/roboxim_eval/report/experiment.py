@@ -20,7 +20,7 @@ from roboxim_eval.experiments.cost import detectable_drop
 from roboxim_eval.experiments.design import Design
 from roboxim_eval.experiments.fresh import committed_text, public_text
 from roboxim_eval.experiments.proving.proofs import PICTURES
-from roboxim_eval.experiments.spread import spread_rows
+from roboxim_eval.experiments.spread import card_pairing, spread_rows
 from roboxim_eval.report.charts.curve import CurvePoint, learning_curve
 from roboxim_eval.report.charts.forest import RATES, ForestRow, Scale, difference_scale
 from roboxim_eval.report.charts.heat_map import HeatMap, arm_maps
@@ -102,6 +102,7 @@ def experiment_page(page: ExperimentPage) -> str:
         margin=f" within {100 * card.experiment.config.decide.margin:.0f} points",
         scores=list(score_rows(card, link)),
         spreads=list(spread_rows(card)),
+        pairing=card_pairing(card),
         substitutions=substitutions(card, link),
         rates=_rates(arms, link),
         heat=heat_maps(card, design, arms, link),

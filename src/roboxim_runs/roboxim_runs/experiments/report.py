@@ -19,7 +19,7 @@ from roboxim_eval.experiments import Design, ExperimentConfig, stages_of
 from roboxim_eval.experiments.card import Card, is_card
 from roboxim_eval.experiments.card_checks import card_curve, check_card, design_of_card, plain_interval
 from roboxim_eval.experiments.cost import FILMS
-from roboxim_eval.experiments.spread import spread_data, spread_rows
+from roboxim_eval.experiments.spread import card_pairing, pairing_data, spread_data, spread_rows
 from roboxim_eval.film_options import FilmOptions
 from roboxim_runs.episodes.facts import EpisodeFacts, episode_facts
 from roboxim_runs.evaluation.shown import PAGES, place_of, write_episode_page
@@ -150,7 +150,8 @@ def report_data(card: Card, written: Sequence[Path]) -> str:
             "experiment": card.experiment.name, "scale": card.experiment.scale, "sha256": card.sha256,
             "sentences": [*card.sentences, *card_warnings(card)], "scores": card.scores,
             "combinations": combinations_data(card),
-            "variance_components": spread_data(card), "deviations": list(card.experiment.deviations),
+            "variance_components": spread_data(card), "pairing": pairing_data(card),
+            "deviations": list(card.experiment.deviations),
             "written": [str(path) for path in written],
         },
         indent=2,
@@ -179,16 +180,21 @@ def curve_lines(card: Card) -> list[str]:
 
 
 def spread_lines(card: Card) -> list[str]:
-    """Return the variance components of a card: of its primary comparison and of both its conditions, a line each."""
+    """Return what a card's intervals are made of, a line each.
+
+    These are the variance components of its primary comparison and of both its conditions, and what pairing gains.
+    """
     primary = card.experiment.config.primary
     names = (primary.first, primary.second, f"{primary.first} - {primary.second}") if primary is not None else ()
-    return [
+    pairing = card_pairing(card)
+    rows = [
         f"spread            {row['name']}: SD {row['training']} points between trainings, {row['cell']} between cells, "
         f"{row['both']} cell x training, {row['scene']} rollouts; 95 %: {row['fixed']} over these cells, "
         f"{row['random']} with cells as a sample"
         for row in spread_rows(card)
         if row["name"] in names or primary is None
     ]
+    return [*rows, f"pairing           {pairing.sentence}"] if pairing is not None else rows
 
 
 def write_experiment_report(folder: ExperimentFolder, card: Card, *, films: int = FILMS) -> Path:
