@@ -103,8 +103,15 @@ class Design:
         return self.scenes(primary.first, primary.where)
 
     def counts(self, condition: str) -> dict[str, int]:
-        """Return the numbers of rollouts by cell of a condition's final evaluations, which have equal ones."""
-        return next(e.counts for e in self.evaluations if e.condition == condition and not e.checkpoint)
+        """Return the numbers of rollouts by cell of a condition's final evaluations, which have equal ones.
+
+        Raises:
+            ConfigError: When it is not evaluated.
+        """
+        final = {e.condition: e.counts for e in self.evaluations if not e.checkpoint}
+        if condition not in final:
+            raise ConfigError(f"no condition '{condition}' is evaluated; {one_of(final, condition)}")
+        return final[condition]
 
     def scenes(self, condition: str, where: str) -> int:
         """Return the rollouts of each of a condition's trainings in all, seen or unseen cells."""
