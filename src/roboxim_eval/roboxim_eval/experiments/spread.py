@@ -93,8 +93,9 @@ class Pairing:
         """The gain in one sentence."""
         one = self.correlation
         return (
-            f"Trainings of one seed differ by {100 * self.paired:.1f} points (SD of {self.trainings}), any two by "
-            f"{100 * self.unrelated:.1f}; correlation {one.value:+.2f} ({one.low:+.2f} to {one.high:+.2f})."
+            f"Differences of trainings of one seed have an SD of {100 * self.paired:.1f} points, those of any two "
+            f"{100 * self.unrelated:.1f}; correlation of {self.trainings} pairs {one.value:+.2f} ({one.low:+.2f} to "
+            f"{one.high:+.2f})."
         )
 
 
