@@ -27,7 +27,7 @@ SCHEMA = 4
 """Version of the form of new cards."""
 INTERVALS: dict[int, Intervals] = {2: "student", 3: "beta_binomial", 4: "beta_binomial_differences"}
 """Version of a card's form to the method of its intervals. A published card keeps its own."""
-KNOWN = "2, 3 or 4"
+KNOWN = ", ".join(map(str, range(min(INTERVALS), SCHEMA))) + f" or {SCHEMA}"
 EXPOSURES = ("no", "yes", "unknown")
 NOT_HASHED = ("sha256", "times")
 

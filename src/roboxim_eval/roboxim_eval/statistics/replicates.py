@@ -340,5 +340,6 @@ def _more_for_model(difference: ConditionDifference, margin: float, alpha: float
     0: the model shows it now, or more trainings would not.
     """
     model = difference.model
-    more = range(101) if model is not None else ()
-    return next((n for n in more if model is not None and max(model.extended(n).p_beyond(margin)) <= alpha), 0)
+    if model is None:
+        return 0
+    return next((more for more in range(101) if max(model.extended(more).p_beyond(margin)) <= alpha), 0)
